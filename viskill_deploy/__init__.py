@@ -1,0 +1,1 @@
+"""ViSkill policies on the da Vinci Research Kit, safely."""
