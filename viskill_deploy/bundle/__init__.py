@@ -1,0 +1,1 @@
+"""The bundle format, and running the skills of one."""

@@ -1,0 +1,1 @@
+"""Robots behind one protocol: the loopback simulator here, hardware beside it."""

@@ -1,0 +1,1 @@
+"""Robot files to Pinocchio models: forward kinematics, Jacobian, inverse, QP IK."""

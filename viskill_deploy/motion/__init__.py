@@ -1,0 +1,1 @@
+"""Waypoints, and their jerk-limited smoothing."""

@@ -1,0 +1,1 @@
+"""Recording, report and what people look at."""

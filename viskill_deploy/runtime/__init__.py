@@ -1,0 +1,1 @@
+"""The loop: read, decide, gate, send, record."""

@@ -1,0 +1,1 @@
+"""The gate: nothing reaches a driver that it has not passed."""

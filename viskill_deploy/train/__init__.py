@@ -1,0 +1,1 @@
+"""Learning. The only part that knows torch."""

@@ -1,0 +1,1 @@
+"""One rule a file. Every rule in this folder is always on."""
