@@ -1,0 +1,209 @@
+"""A whole plan: waypoints known in advance, resolved to joints and smoothed.
+
+The plan is cut into runs that begin and end at rest: at its ends, where every axis pauses or turns,
+and where a jaw starts or stops moving. Each run is smoothed at a shape time scale k, the smallest
+at which Ruckig's profiles keep the joint limits, and then slowed once more, as a whole, until the
+tip keeps its speed. Slowing is a change of clock alone, so the path in space stays the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from viskill_deploy.core.description import PLAN_FRACTION, CellDescription
+from viskill_deploy.core.errors import MotionError
+from viskill_deploy.core.types import FloatArray
+from viskill_deploy.kinematics.model import forward_batch
+from viskill_deploy.motion.limits import PlanLimits
+from viskill_deploy.motion.smoothing import AXES, AxisMotion, inside, travel_time
+
+SCALE_STEP = 1.15
+"""Growth of the shape time scale from one try to the next."""
+
+MAX_SCALE = 60.0
+
+STILL = 1e-9
+"""Axis travel, rad or m, below which an axis counts as pausing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Consecutive segments from rest to rest under one clock.
+
+    Attributes:
+        start_s: time in the plan at which it starts.
+        scale: real time over the time in which `segments` are written, >= 1.
+        step_s: duration of each segment before scaling.
+        first: index of the first waypoint.
+        segments: per step one Ruckig trajectory an arm.
+    """
+
+    start_s: float
+    scale: float
+    step_s: float
+    first: int
+    segments: tuple[tuple[Any, ...], ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Time that the run takes."""
+        return len(self.segments) * self.step_s * self.scale
+
+    def at(self, t: float) -> tuple[AxisMotion, ...]:
+        """State of every arm `t` seconds after the run's start."""
+        k = self.scale
+        local = min(max(t / k, 0.0), len(self.segments) * self.step_s)
+        index = min(int(local / self.step_s), len(self.segments) - 1)
+        states = []
+        for trajectory in self.segments[index]:
+            p, v, a = trajectory.at_time(min(local - index * self.step_s, trajectory.duration))
+            states.append(AxisMotion(tuple(p), tuple(x / k for x in v), tuple(x / k**2 for x in a)))
+        return tuple(states)
+
+
+@dataclass(frozen=True, slots=True)
+class JointPlan:
+    """A smoothed plan of all arms.
+
+    Attributes:
+        runs: in order, from rest to rest.
+        waypoint_times: time at which each waypoint is met, (waypoints,) s.
+        stretch: time of the plan over the time that its waypoints meant, >= 1.
+    """
+
+    runs: tuple[Run, ...]
+    waypoint_times: tuple[float, ...]
+    stretch: float
+
+    @property
+    def duration_s(self) -> float:
+        """Time that the plan takes."""
+        return self.waypoint_times[-1]
+
+    def at(self, t: float) -> tuple[AxisMotion, ...]:
+        """State of every arm at plan time `t`, s; at its ends for times outside."""
+        run = self.runs[0]
+        for candidate in self.runs:
+            if candidate.start_s > t + 1e-12:
+                break
+            run = candidate
+        return run.at(t - run.start_s)
+
+    def table(self, period_s: float) -> FloatArray:
+        """Positions, velocities, accelerations after each control period, (n, arms, 3, 7)."""
+        count = math.ceil(self.duration_s / period_s - 1e-9)
+        times = [(i + 1) * period_s for i in range(count)]
+        return np.array([[(m.p, m.v, m.a) for m in self.at(t)] for t in times])
+
+
+def waypoint_velocities(q: FloatArray, step_s: float) -> FloatArray:
+    """Axis velocities at the waypoints, same shape as `q` (n, arms, 7).
+
+    Central differences, lowered to at most 1.5 times the slower neighbour so that no axis
+    overshoots, zero at a turn, at the ends, and for all axes wherever a jaw starts or stops.
+    """
+    d = np.diff(q, axis=0) / step_s
+    before, after = d[:-1], d[1:]
+    least = np.minimum(np.abs(before), np.abs(after))
+    central = np.minimum(np.abs(before + after) / 2, 1.5 * least)
+    inner = np.where(before * after > 0, np.sign(before) * central, 0.0)
+    jaw_changes = (np.abs(before[..., 6] - after[..., 6]) * step_s > STILL).any(axis=1)
+    inner[jaw_changes] = 0.0
+    v = np.zeros_like(q)
+    v[1:-1] = inner
+    return v
+
+
+def smooth(cell: CellDescription, q: FloatArray, step_s: float, speed: float = 1.0) -> JointPlan:
+    """A jerk-limited plan through joint waypoints.
+
+    Args:
+        cell: the arms, their limits and the tip speed.
+        q: axis positions at the waypoints, (n, arms, 7), the first where the arms are; n >= 2.
+        step_s: time that each step is meant to take.
+        speed: part of the planned tip speed to use, in (0, 1].
+
+    Raises:
+        MotionError: fewer than two waypoints, a number that is not finite, or no motion inside the
+            limits.
+    """
+    q = np.asarray(q, dtype=np.float64)
+    if q.ndim != 3 or q.shape[0] < 2 or q.shape[1:] != (len(cell.arms), AXES):
+        raise MotionError(f"a plan needs waypoints of shape (n >= 2, arms, 7), got {q.shape}")
+    if not np.isfinite(q).all() or not (0.0 < speed <= 1.0 and step_s > 0.0):
+        raise MotionError("waypoints must be finite, speed in (0, 1] and step_s positive")
+    limits = tuple(PlanLimits.of(arm.arm) for arm in cell.arms)
+    v = waypoint_velocities(q, step_s)
+    runs: list[Run] = []
+    times, now = [0.0], 0.0
+    for first, last in _rest_to_rest(v):
+        run = _shaped(limits, q[first : last + 1], v[first : last + 1], step_s, now, first)
+        run = _slowed(run, cell, PLAN_FRACTION * speed * cell.file.motion.tip_speed_m_s)
+        runs.append(run)
+        times += [now + (i + 1) * step_s * run.scale for i in range(last - first)]
+        now = times[-1]
+    return JointPlan(tuple(runs), tuple(times), now / (step_s * (len(q) - 1)))
+
+
+def _rest_to_rest(v: FloatArray) -> Iterator[tuple[int, int]]:
+    at_rest = np.flatnonzero((np.abs(v) <= STILL).all(axis=(1, 2)))
+    yield from zip(at_rest[:-1].tolist(), at_rest[1:].tolist(), strict=True)
+
+
+def _shaped(
+    limits: Sequence[PlanLimits],
+    q: FloatArray,
+    v: FloatArray,
+    step_s: float,
+    start_s: float,
+    first: int,
+) -> Run:
+    k = 1.0
+    while k <= MAX_SCALE:
+        segments = _segments([limit.faster(k) for limit in limits], q, v, step_s)
+        if segments is not None:
+            return Run(start_s, k, step_s, first, segments)
+        k *= SCALE_STEP
+    raise MotionError(
+        f"steps {first} to {first + len(q) - 1} cannot be smoothed inside the joint limits, "
+        "not even slowly; put more waypoints between them"
+    )
+
+
+def _segments(
+    limits: Sequence[PlanLimits], q: FloatArray, v: FloatArray, step_s: float
+) -> tuple[tuple[Any, ...], ...] | None:
+    rows = []
+    rest = (0.0,) * AXES
+    for i in range(len(q) - 1):
+        row = []
+        for arm, limit in enumerate(limits):
+            start = AxisMotion(tuple(q[i, arm]), tuple(v[i, arm]), rest)
+            if np.any(np.abs(v[i : i + 2, arm]) > limit.velocity):
+                return None
+            trajectory = travel_time(limit, start, q[i + 1, arm], v[i + 1, arm], step_s)
+            if trajectory.duration > step_s + 1e-9:
+                return None
+            if not inside(limit, trajectory):
+                raise MotionError(f"step {i} passes a joint limit; move its waypoints away from it")
+            row.append(trajectory)
+        rows.append(tuple(row))
+    return tuple(rows)
+
+
+def _slowed(run: Run, cell: CellDescription, tip_speed_m_s: float) -> Run:
+    """The same run with a slower clock, so that no tip is faster than `tip_speed_m_s`."""
+    count = max(2, 40 * len(run.segments))
+    times = np.linspace(0.0, run.duration_s, count + 1)
+    q = np.array([[m.p[:6] for m in run.at(t)] for t in times])
+    fastest = 0.0
+    for index, arm in enumerate(cell.arms):
+        steps = np.diff(forward_batch(arm.arm, q[:, index])[:, :3, 3], axis=0)
+        fastest = max(fastest, float(np.sqrt((steps**2).sum(axis=1).max())))
+    slower = max(1.0, fastest / (run.duration_s / count) / tip_speed_m_s)
+    return Run(run.start_s, run.scale * slower, run.step_s, run.first, run.segments)

@@ -1,0 +1,112 @@
+"""Waypoints in the task frame to joint positions of every arm, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio
+
+from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.errors import MotionError
+from viskill_deploy.core.types import FloatArray, Waypoint
+from viskill_deploy.kinematics.closed_form import inverse_batch
+from viskill_deploy.kinematics.model import forward_batch
+
+CHORD_M, CHORD_RAD = 0.009, 0.55
+"""Waypoints farther apart than this get others between them, so that the tip follows the chord."""
+
+
+def task_poses(cell: CellDescription, arm: int, q: FloatArray) -> FloatArray:
+    """T_task_tip of one arm for joint positions (n, 6), as (n, 4, 4)."""
+    poses: FloatArray = cell.arms[arm].T_task_base @ forward_batch(cell.arms[arm].arm, q)
+    return poses
+
+
+def base_poses(cell: CellDescription, arm: int, T_task_tip: FloatArray) -> FloatArray:
+    """T_base_tip of one arm for task-frame poses (n, 4, 4)."""
+    base = cell.arms[arm].T_task_base
+    inverse = np.eye(4)
+    inverse[:3, :3] = base[:3, :3].T
+    inverse[:3, 3] = -base[:3, :3].T @ base[:3, 3]
+    poses: FloatArray = inverse @ T_task_tip
+    return poses
+
+
+def resolve(
+    cell: CellDescription, waypoints: Sequence[Waypoint], start: Sequence[Sequence[float]]
+) -> FloatArray:
+    """Axis positions at the start and at every waypoint, (1 + n, arms, 7).
+
+    Args:
+        cell: the arms in their places.
+        waypoints: where the tips shall be.
+        start: present axis positions, (7,) an arm; roll turns follow on from them.
+
+    Raises:
+        MotionError: a waypoint is out of an arm's reach; names both.
+    """
+    q = np.empty((1 + len(waypoints), len(cell.arms), 7))
+    q[0] = start
+    for index, arm in enumerate(cell.arms):
+        poses = np.array([w.T_task_tip[index] for w in waypoints])
+        q[1:, index, 6] = [w.jaw[index] for w in waypoints]
+        seeds = np.broadcast_to(q[0, index, :6], (len(waypoints), 6))
+        solved, reached = inverse_batch(arm.arm, base_poses(cell, index, poses), seeds)
+        if not reached.all():
+            where = int(np.flatnonzero(~reached)[0])
+            raise MotionError(
+                f"waypoint {where} is out of {arm.name}'s reach; check the task frame and units"
+            )
+        q[1:, index, :6] = solved
+        q[:, index, 3] = _unwrapped(q[:, index, 3], arm.arm.limit(0)[3], arm.arm.limit(1)[3])
+    return q
+
+
+def _unwrapped(roll: FloatArray, lower: float, upper: float) -> FloatArray:
+    """Roll angles with every turn nearest to the angle before it, where the limits allow."""
+    turns = np.array([-2.0, -1.0, 0.0, 1.0, 2.0]) * 2 * np.pi
+    result = roll.copy()
+    for i in range(1, len(roll)):
+        options = roll[i] + turns
+        options = options[(options >= lower) & (options <= upper)]
+        if len(options):
+            result[i] = options[np.argmin(np.abs(options - result[i - 1]))]
+    return result
+
+
+def densified(waypoints: Sequence[Waypoint]) -> list[Waypoint]:
+    """The same path with waypoints added, so that no step is longer than 9 mm or 0.55 rad.
+
+    Positions are interpolated along the chord, orientations along the shortest rotation; each added
+    step is meant to take `step_s` like any other. The jaw moves in the last part of its step.
+    """
+    dense = list(waypoints[:1])
+    for goal in waypoints[1:]:
+        last = dense[-1]
+        pairs = list(zip(last.T_task_tip, goal.T_task_tip, strict=True))
+        parts = max(1, *(_parts(a, b) for a, b in pairs))
+        for part in range(1, parts + 1):
+            dense.append(
+                Waypoint(
+                    tuple(_between(a, b, part / parts) for a, b in pairs),
+                    goal.jaw if part == parts else last.jaw,
+                    goal.step_s,
+                    goal.skill,
+                    goal.may_open_jaw,
+                )
+            )
+    return dense
+
+
+def _parts(a: FloatArray, b: FloatArray) -> int:
+    distance = float(np.linalg.norm(b[:3, 3] - a[:3, 3]))
+    angle = float(np.linalg.norm(pinocchio.log3(a[:3, :3].T @ b[:3, :3])))
+    return int(np.ceil(max(distance / CHORD_M, angle / CHORD_RAD) - 1e-9))
+
+
+def _between(a: FloatArray, b: FloatArray, share: float) -> FloatArray:
+    pose = np.eye(4)
+    pose[:3, 3] = a[:3, 3] + share * (b[:3, 3] - a[:3, 3])
+    pose[:3, :3] = a[:3, :3] @ pinocchio.exp3(share * pinocchio.log3(a[:3, :3].T @ b[:3, :3]))
+    return pose

@@ -1,0 +1,210 @@
+"""One segment: a jerk-limited motion of the whole cell from its present state to a waypoint.
+
+Community Ruckig has no waypoints, no position limits and no tracking mode, so every segment is one
+state-to-state calculation an arm with `minimum_duration`, both arms ending together; position
+extrema and tip speed are checked here. Where the limits need more time than the policy's step, the
+segment takes longer and says so (`stretch`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import ruckig
+
+from viskill_deploy.core.description import PLAN_FRACTION, CellDescription
+from viskill_deploy.core.errors import MotionError
+from viskill_deploy.core.types import FloatArray, JointSetpoint, Joints
+from viskill_deploy.kinematics.model import forward_batch
+from viskill_deploy.motion.limits import PlanLimits
+
+AXES = 7
+"""Six joints and the jaw."""
+
+ATTEMPTS = 12
+LAST_FAST_ATTEMPT = 7
+"""After this many attempts the end velocity is given up: the segment ends at rest."""
+
+TIP_TOLERANCE = 1.03
+"""Tip speed may pass the planned one by this, still 7 % below the gate's: a segment that starts at
+the planned speed must not stretch for ever over a rounding error."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxisMotion:
+    """Position, velocity and acceleration of an arm's seven axes (jaw last), rad or m, s."""
+
+    p: Joints
+    v: Joints
+    a: Joints
+
+    @classmethod
+    def at_rest(cls, p: Sequence[float]) -> AxisMotion:
+        """No motion at `p`."""
+        return cls(tuple(p), (0.0,) * len(p), (0.0,) * len(p))
+
+    def setpoint(self) -> JointSetpoint:
+        """What is sent for this state."""
+        return JointSetpoint(self.p[:6], self.v[:6], self.p[6], self.v[6])
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A motion of all arms over `duration_s`, a whole number of control periods.
+
+    Attributes:
+        duration_s: time from its start state to its target.
+        stretch: duration over the time that the policy meant, >= 1.
+        trajectories: one Ruckig trajectory an arm.
+    """
+
+    duration_s: float
+    stretch: float
+    trajectories: tuple[Any, ...]
+
+    def at(self, t: float) -> tuple[AxisMotion, ...]:
+        """State of every arm `t` seconds after the start; at the end for later times."""
+        t = min(max(t, 0.0), self.duration_s)
+        states = []
+        for trajectory in self.trajectories:
+            p, v, a = trajectory.at_time(min(t, trajectory.duration))
+            states.append(AxisMotion(tuple(p), tuple(v), tuple(a)))
+        return tuple(states)
+
+    def table(self, period_s: float) -> tuple[FloatArray, FloatArray]:
+        """Positions and velocities after each control period, both (n, arms, 7)."""
+        times = [(i + 1) * period_s for i in range(round(self.duration_s / period_s))]
+        rows = [[tr.at_time(min(t, tr.duration)) for tr in self.trajectories] for t in times]
+        samples = np.array(rows)  # (n, arms, 3, 7)
+        return samples[:, :, 0], samples[:, :, 1]
+
+
+def travel_time(
+    limits: PlanLimits,
+    start: AxisMotion,
+    target: Sequence[float],
+    end_velocity: Sequence[float],
+    minimum_s: float,
+) -> Any:
+    """Ruckig trajectory of one arm that takes at least `minimum_s`.
+
+    Raises:
+        MotionError: Ruckig refuses the request.
+    """
+    request = ruckig.InputParameter(AXES)
+    request.current_position = list(start.p)
+    request.current_velocity = list(start.v)
+    request.current_acceleration = [
+        min(max(a, -limit), limit) for a, limit in zip(start.a, limits.acceleration, strict=True)
+    ]  # a rounding error above the limit makes Ruckig raise
+    request.target_position = list(target)
+    request.target_velocity = [
+        min(max(v, -limit), limit) for v, limit in zip(end_velocity, limits.velocity, strict=True)
+    ]
+    request.max_velocity = list(limits.velocity)
+    request.max_acceleration = list(limits.acceleration)
+    request.max_jerk = list(limits.jerk)
+    request.minimum_duration = minimum_s
+    trajectory = ruckig.Trajectory(AXES)
+    try:
+        ruckig.Ruckig(AXES).calculate(request, trajectory)
+    except (RuntimeError, ValueError) as error:  # RuckigError is a RuntimeError
+        raise MotionError(f"no jerk-limited motion to {list(target)}: {error}") from error
+    return trajectory
+
+
+def inside(limits: PlanLimits, trajectory: Any) -> bool:
+    """Whether the whole trajectory keeps the position limits, which Ruckig ignores."""
+    return all(
+        low - 1e-9 <= extrema.min and extrema.max <= high + 1e-9
+        for low, high, extrema in zip(
+            limits.lower, limits.upper, trajectory.position_extrema, strict=True
+        )
+    )
+
+
+class SegmentPlanner:
+    """Plans segments for one cell.
+
+    Args:
+        cell: the arms, their limits and the tip speed.
+        period_s: control period; every segment is a whole number of them.
+        speed: part of the planned tip speed to use, in (0, 1].
+    """
+
+    def __init__(self, cell: CellDescription, period_s: float, speed: float = 1.0) -> None:
+        if not (0.0 < speed <= 1.0 and period_s > 0.0):
+            raise MotionError("speed must be in (0, 1] and the control period positive")
+        self.cell, self.period_s = cell, period_s
+        self.limits = tuple(PlanLimits.of(arm.arm) for arm in cell.arms)
+        self.tip_speed_m_s = PLAN_FRACTION * speed * cell.file.motion.tip_speed_m_s
+
+    def plan(
+        self,
+        start: Sequence[AxisMotion],
+        target: Sequence[Sequence[float]],
+        end_velocity: Sequence[Sequence[float]],
+        step_s: float,
+    ) -> Segment:
+        """The segment from `start` to `target`.
+
+        Args:
+            start: present state of every arm, as commanded.
+            target: axis positions at the end, (7,) an arm.
+            end_velocity: axis velocities wished at the end, (7,) an arm; lowered as the limits and
+                the stretch demand.
+            step_s: the time that the policy means it to take.
+
+        Raises:
+            MotionError: no motion inside the limits reaches the target.
+        """
+        duration, share = self._whole_periods(step_s), 1.0
+        for attempt in range(ATTEMPTS):
+            if attempt >= LAST_FAST_ATTEMPT:
+                share = 0.0
+            trajectories = tuple(
+                travel_time(limits, s, goal, [share * x for x in v], duration)
+                for limits, s, goal, v in zip(self.limits, start, target, end_velocity, strict=True)
+            )
+            longest = max(trajectory.duration for trajectory in trajectories)
+            if longest > duration + 1e-9:
+                share, duration = self._slower(share, longest / duration, duration)
+                continue
+            if share > 0.0 and not all(map(inside, self.limits, trajectories)):
+                share = 0.0
+                continue
+            segment = Segment(duration, duration / step_s, trajectories)
+            excess = self.tip_speed(start, segment) / self.tip_speed_m_s
+            if excess <= TIP_TOLERANCE:
+                return self._checked(segment)
+            share, duration = self._slower(share, min(excess, 3.0), duration)
+        raise MotionError(
+            "no motion inside speed, acceleration and jerk limits reaches the waypoint; "
+            "ask for a smaller step"
+        )
+
+    def tip_speed(self, start: Sequence[AxisMotion], segment: Segment) -> float:
+        """Largest tip speed of any arm between two setpoints of the segment, m/s."""
+        positions, _ = segment.table(self.period_s)
+        fastest = 0.0
+        for index, arm in enumerate(self.cell.arms):
+            q = np.vstack([start[index].p[:6], positions[:, index, :6]])
+            steps = np.diff(forward_batch(arm.arm, q)[:, :3, 3], axis=0)
+            fastest = max(fastest, float(np.sqrt((steps**2).sum(axis=1).max())))
+        return fastest / self.period_s
+
+    def _checked(self, segment: Segment) -> Segment:
+        if all(map(inside, self.limits, segment.trajectories)):
+            return segment
+        raise MotionError("the motion to the waypoint leaves a joint limit; ask for a smaller step")
+
+    def _slower(self, share: float, factor: float, duration: float) -> tuple[float, float]:
+        longer = self._whole_periods(max(duration * factor, duration + self.period_s))
+        return share * duration / longer, longer
+
+    def _whole_periods(self, seconds: float) -> float:
+        return math.ceil(seconds / self.period_s - 1e-6) * self.period_s
