@@ -18,7 +18,7 @@ import ruckig
 
 from viskill_deploy.core.description import PLAN_FRACTION, CellDescription
 from viskill_deploy.core.errors import MotionError
-from viskill_deploy.core.types import FloatArray, JointSetpoint, Joints
+from viskill_deploy.core.types import FloatArray, Joints, JointSetpoint
 from viskill_deploy.kinematics.model import forward_batch
 from viskill_deploy.motion.limits import PlanLimits
 

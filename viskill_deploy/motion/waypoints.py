@@ -1,6 +1,6 @@
 """From a policy's action to the next waypoint. One policy step is one waypoint.
 
-The learning world and the runtime both call `apply_action`, so that a policy runs as it was trained.
+The learning world and the runtime both call `apply_action`: a policy runs as it was trained.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ WORKSPACE_INSET_M = 0.003
 """Waypoints stay this far inside the gate's workspace: a corner may be cut by less."""
 
 BASE_TOLERANCE_M = 0.005
-"""Actions build on the commanded waypoint, but never from farther than this off the measured tip."""
+"""Actions build on the commanded waypoint, at most this far from the measured tip."""
 
 
 @dataclass(frozen=True, slots=True)
