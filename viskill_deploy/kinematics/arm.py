@@ -1,0 +1,213 @@
+"""An arm to ask kinematic questions of: `load_arm(name, tool=...)`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from viskill_deploy.core.description import ArmDescription
+from viskill_deploy.core.errors import KinematicsError, NoSolutionError
+from viskill_deploy.core.types import FloatArray, Joints, frozen_array
+from viskill_deploy.kinematics import closed_form
+from viskill_deploy.kinematics.dvrk_json import describe_arm
+from viskill_deploy.kinematics.model import (
+    ORTHONORMAL_TOLERANCE,
+    ROLL,
+    SHAFT_FRAME,
+    TIP_FRAME,
+    build_model,
+    checked_poses,
+    forward_batch,
+)
+
+Pose: TypeAlias = pin.SE3 | npt.ArrayLike
+"""A pose as a Pinocchio SE3 or as a 4x4 array."""
+
+
+def load_arm(name: str | Path, tool: str | Path = "large_needle_driver_400006") -> Arm:
+    """A robot with an instrument in it.
+
+    Args:
+        name: a robot of `robots/`, such as "psm_classic", or the path of a `.toml` file of ours or
+            of a `.json` arm file of the dVRK.
+        tool: an instrument of `robots/tools/`, or a path likewise.
+
+    Raises:
+        DataFileError: a file is missing or refused; names file, key and reason.
+        KinematicsError: the chain is not a PSM's.
+    """
+    return Arm(describe_arm(name, tool))
+
+
+class Arm:
+    """Kinematics of one PSM: joints (6,) rad and m, poses of the tip in the base (RCM) frame, m.
+
+    Not safe to share between threads: the model's workspace is kept between calls.
+
+    Attributes:
+        description: the numbers that it was made from.
+        model: Pinocchio's model, with the frames "tip" and "shaft".
+        lower: joint limits, (6,), read-only.
+        upper: joint limits, (6,), read-only.
+    """
+
+    def __init__(self, description: ArmDescription) -> None:
+        self.description = description
+        self.model = build_model(description)
+        self.lower: FloatArray = frozen_array(description.limit(0), (6,), "lower")
+        self.upper: FloatArray = frozen_array(description.limit(1), (6,), "upper")
+        self._geometry = closed_form.PsmGeometry.of(description)
+        self._data = self.model.createData()
+        self._tip = self.model.getFrameId(TIP_FRAME)
+        self._shaft = self.model.getFrameId(SHAFT_FRAME)
+        rows = description.tip_rotation.tolist()
+        self._to_frame6: tuple[Joints, Joints] = (tuple(rows[0]), tuple(rows[2]))
+
+    def forward(self, q: npt.ArrayLike) -> pin.SE3:
+        """Pose of the tip in the base frame.
+
+        Raises:
+            KinematicsError: not six finite numbers.
+        """
+        pin.forwardKinematics(self.model, self._data, _joints(q))
+        return pin.SE3(pin.updateFramePlacement(self.model, self._data, self._tip))
+
+    def jacobian(self, q: npt.ArrayLike) -> FloatArray:
+        """Geometric Jacobian at the tip, (6, 6): rows vx vy vz wx wy wz, base axes.
+
+        Raises:
+            KinematicsError: not six finite numbers.
+        """
+        J = pin.computeFrameJacobian(
+            self.model, self._data, _joints(q), self._tip, pin.LOCAL_WORLD_ALIGNED
+        )
+        return np.array(J)
+
+    def inverse(self, T_base_tip: Pose, q_seed: npt.ArrayLike) -> FloatArray:
+        """The joints that bring the tip to a pose: the one solution inside the limits, (6,).
+
+        Of the whole turns of roll that the limits leave open, the nearest to the seed's is taken.
+
+        Raises:
+            NoSolutionError: out of reach; names the joint and by how much.
+            KinematicsError: no rigid pose, or a seed that is not six finite numbers.
+        """
+        rotation, p = _split(T_base_tip)
+        seed_roll = float(_joints(q_seed)[ROLL])
+        # Frame 6 = tip turned back: column k of R tip_rotation^T is R times row k.
+        (ax, ay, az), (bx, by, bz) = self._to_frame6
+        x = tuple(r[0] * ax + r[1] * ay + r[2] * az for r in rotation)
+        z = tuple(r[0] * bx + r[1] * by + r[2] * bz for r in rotation)
+        return np.array(closed_form.inverse(self._geometry, x, z, p, seed_roll))
+
+    def forward_batch(self, q: FloatArray) -> FloatArray:
+        """Tip poses (N, 4, 4) of configurations (N, 6). Raises as `model.forward_batch`."""
+        return forward_batch(self.description, q)
+
+    def inverse_batch(
+        self, T_base_tip: FloatArray, seed: FloatArray
+    ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Joints (N, 6) and whether each is inside the limits. See `closed_form.inverse_batch`."""
+        return closed_form.inverse_batch(self.description, T_base_tip, seed)
+
+    def resolve(self, T_base_tip: FloatArray, q0: npt.ArrayLike) -> FloatArray:
+        """The joints along a path of poses, roll continuous from `q0` on.
+
+        Args:
+            T_base_tip: poses in order, (N, 4, 4), m.
+            q0: configuration before the first of them, (6,).
+
+        Returns:
+            Joints, (N, 6), all inside the limits.
+
+        Raises:
+            NoSolutionError: a pose is out of reach, or the roll's limits break the path; names
+                joint, excess and the pose's index.
+        """
+        poses, start = checked_poses(T_base_tip, "T_base_tip"), _joints(q0)
+        q, ok = self.inverse_batch(poses, start)
+        # The turn nearest to the start may be clipped by the limits: unwrap only what is inside.
+        previous = float(start[ROLL])
+        for i, roll in enumerate(q[:, ROLL].tolist()):
+            if not ok[i]:
+                cause = closed_form.no_solution(self._geometry, tuple(q[i].tolist()))
+                raise _at_index(cause, i)
+            step = math.remainder(roll - previous, closed_form.TURN)
+            previous += step
+            excess = max(self.lower[ROLL] - previous, previous - self.upper[ROLL])
+            if excess > closed_form.LIMIT_TOLERANCE:
+                name = self._geometry.names[ROLL]
+                raise NoSolutionError(
+                    ROLL,
+                    name,
+                    previous,
+                    float(excess),
+                    f"pose {i}: following the path takes {name} {excess:.3g} rad outside its "
+                    "limits; start with another turn of roll",
+                )
+            q[i, ROLL] = min(max(previous, self.lower[ROLL]), self.upper[ROLL])
+        return q
+
+    def rcm_error(self, q: npt.ArrayLike, port: npt.ArrayLike) -> float:
+        """Distance of the shaft's axis from the registered port, m.
+
+        Args:
+            q: joints, (6,).
+            port: where the trocar is, base frame, (3,) m. A PSM's shaft passes through the origin
+                by mechanism, so a port there gives 0 whatever the joints.
+
+        Raises:
+            KinematicsError: not six, not three, or not finite numbers.
+        """
+        place = np.asarray(port, dtype=np.float64)
+        if place.shape != (3,) or not np.isfinite(place).all():
+            raise KinematicsError(f"port is {port!r}; give three finite numbers in m")
+        pin.forwardKinematics(self.model, self._data, _joints(q))
+        shaft = pin.updateFramePlacement(self.model, self._data, self._shaft)
+        x, y, _ = shaft.actInv(place).tolist()
+        return math.hypot(x, y)
+
+
+def _joints(q: Any) -> FloatArray:
+    """Six finite float64 numbers, or a `KinematicsError`."""
+    joints = np.asarray(q, dtype=np.float64)
+    if joints.shape != (6,):
+        raise KinematicsError(f"joints have shape {joints.shape}; give six numbers")
+    if not math.isfinite(sum(joints.tolist())):
+        raise KinematicsError(f"joints {joints.tolist()} are not all finite; check their source")
+    return joints
+
+
+def _split(pose: Pose) -> tuple[list[list[float]], Joints]:
+    """Rotation rows and origin of a pose, checked; or a `KinematicsError`."""
+    matrix = pose.homogeneous if isinstance(pose, pin.SE3) else np.asarray(pose, dtype=np.float64)
+    if matrix.shape != (4, 4):
+        raise KinematicsError(f"the pose has shape {matrix.shape}; give an SE3 or a 4x4 array")
+    rows = matrix.tolist()
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), last = rows
+    if not math.isfinite(a + b + c + d + e + f + g + h + i + x + y + z):
+        raise KinematicsError("the pose holds a number that is not finite; check its source")
+    skew = max(
+        abs(a * a + b * b + c * c - 1.0),
+        abs(d * d + e * e + f * f - 1.0),
+        abs(a * d + b * e + c * f),
+        # The third row must be the cross product of the first two: this refuses mirrors too.
+        abs(b * f - c * e - g) + abs(c * d - a * f - h) + abs(a * e - b * d - i),
+    )
+    if skew > ORTHONORMAL_TOLERANCE or last != [0.0, 0.0, 0.0, 1.0]:
+        raise KinematicsError(
+            "the pose is no rigid transform; give a proper rotation over a last row of 0 0 0 1"
+        )
+    return [[a, b, c], [d, e, f], [g, h, i]], (x, y, z)
+
+
+def _at_index(error: NoSolutionError, index: int) -> NoSolutionError:
+    """The same refusal, saying which pose of a path it is about."""
+    return NoSolutionError(
+        error.joint, error.name, error.value, error.excess, f"pose {index}: {error}"
+    )

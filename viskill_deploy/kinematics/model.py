@@ -1,0 +1,138 @@
+"""Arm descriptions as Pinocchio models, and forward kinematics of many configurations at once.
+
+Modified (Craig) Denavit-Hartenberg throughout: link i is Rx(alpha) Tx(a) Rz(theta) Tz(d).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from viskill_deploy.core.description import ArmDescription, PrismaticJoint, RevoluteJoint
+from viskill_deploy.core.errors import KinematicsError
+from viskill_deploy.core.types import FloatArray
+
+TIP_FRAME = "tip"
+"""Frame at the control point: origin on the wrist-yaw axis, z forward."""
+
+SHAFT_FRAME = "shaft"
+"""Frame on the instrument's shaft: origin on the wrist-pitch axis, z along the shaft."""
+
+ROLL = 3
+"""Index of the joint that turns the shaft about itself."""
+
+ORTHONORMAL_TOLERANCE = 1e-6
+"""How far R^T R of a pose may be from identity: float32 policies reach 1e-7."""
+
+
+def link_origin(joint: RevoluteJoint | PrismaticJoint) -> FloatArray:
+    """Pose of a joint's frame in the one before it, the joint at zero, (4, 4).
+
+    Source: J. J. Craig, Introduction to Robotics, eq. 3.6.
+    """
+    slides = joint.type == "prismatic"
+    theta = joint.theta_rad + (0.0 if slides else joint.offset)
+    d = joint.d_m + (joint.offset if slides else 0.0)
+    ca, sa = math.cos(joint.alpha_rad), math.sin(joint.alpha_rad)
+    ct, st = math.cos(theta), math.sin(theta)
+    return np.array(
+        [
+            [ct, -st, 0.0, joint.a_m],
+            [st * ca, ct * ca, -sa, -sa * d],
+            [st * sa, ct * sa, ca, ca * d],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+
+
+def build_model(arm: ArmDescription) -> pin.Model:
+    """A Pinocchio model of the arm with the frames `tip` and `shaft`.
+
+    Limits (position, velocity, effort) come from the description. It has no masses: gravity is
+    the robot controller's business.
+    """
+    model = pin.Model()
+    model.name = f"{arm.robot}+{arm.tool}"
+    parent = 0
+    for index, joint in enumerate(arm.joints):
+        kind = pin.JointModelPZ() if joint.type == "prismatic" else pin.JointModelRZ()
+        lower, upper, speed, _, _ = joint.limits
+        effort = joint.servo[4] if joint.dynamics else math.inf
+        parent = model.addJoint(
+            parent,
+            kind,
+            pin.SE3(link_origin(joint)),
+            joint.name,
+            *(np.array([value]) for value in (effort, speed, lower, upper)),
+        )
+        if index == ROLL:
+            model.addFrame(pin.Frame(SHAFT_FRAME, parent, pin.SE3.Identity(), pin.OP_FRAME))
+    tip = pin.SE3(arm.tip_rotation, np.zeros(3))
+    model.addFrame(pin.Frame(TIP_FRAME, parent, tip, pin.OP_FRAME))
+    return model
+
+
+def forward_batch(arm: ArmDescription, q: FloatArray) -> FloatArray:
+    """Tip poses of many configurations.
+
+    Args:
+        arm: the arm.
+        q: joint positions, (N, 6), rad and m.
+
+    Returns:
+        `T_base_tip` of each, (N, 4, 4), m.
+
+    Raises:
+        KinematicsError: another shape, or a number that is not finite.
+    """
+    q = checked_rows(q, len(arm.joints), "q")
+    pose = np.broadcast_to(np.eye(4), (len(q), 4, 4))
+    for joint, value in zip(arm.joints, q.T, strict=True):
+        motion = np.zeros((len(q), 4, 4))
+        motion[:, 2, 2] = motion[:, 3, 3] = 1.0
+        if joint.type == "prismatic":
+            motion[:, 0, 0] = motion[:, 1, 1] = 1.0
+            motion[:, 2, 3] = value
+        else:
+            motion[:, 0, 0] = motion[:, 1, 1] = np.cos(value)
+            motion[:, 1, 0] = np.sin(value)
+            motion[:, 0, 1] = -motion[:, 1, 0]
+        pose = pose @ link_origin(joint) @ motion
+    result = pose.copy()
+    result[:, :3, :3] = pose[:, :3, :3] @ arm.tip_rotation
+    return result
+
+
+def checked_rows(values: Any, width: int, name: str) -> FloatArray:
+    """`values` as a float64 array (N, width) of finite numbers, or a `KinematicsError`."""
+    rows = np.asarray(values, dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != width:
+        raise KinematicsError(f"{name} has shape {rows.shape}; give an array of shape (N, {width})")
+    if not np.isfinite(rows).all():
+        raise KinematicsError(
+            f"{name} holds a number that is not finite; check where it comes from"
+        )
+    return rows
+
+
+def checked_poses(values: Any, name: str) -> FloatArray:
+    """`values` as a float64 array (N, 4, 4) of proper poses, or a `KinematicsError`."""
+    poses = np.asarray(values, dtype=np.float64)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4):
+        raise KinematicsError(f"{name} has shape {poses.shape}; give an array of shape (N, 4, 4)")
+    if not np.isfinite(poses).all():
+        raise KinematicsError(
+            f"{name} holds a number that is not finite; check where it comes from"
+        )
+    R = poses[:, :3, :3]
+    skewed = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2)) > ORTHONORMAL_TOLERANCE
+    skewed |= (np.linalg.det(R) < 0) | (np.abs(poses[:, 3] - [0, 0, 0, 1]).max(axis=1) > 1e-9)
+    if skewed.any():
+        raise KinematicsError(
+            f"{name}[{int(skewed.argmax())}] is no rigid pose; give proper rotations over a last "
+            "row of 0 0 0 1"
+        )
+    return poses
