@@ -1,4 +1,4 @@
-"""Running the skills of a bundle, one after the other, each for its whole budget of policy steps."""
+"""Running the skills of a bundle in order, each for its whole budget of policy steps."""
 
 from __future__ import annotations
 

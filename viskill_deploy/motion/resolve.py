@@ -44,7 +44,8 @@ def resolve(
         start: present axis positions, (7,) an arm; roll turns follow on from them.
 
     Raises:
-        MotionError: a waypoint is out of an arm's reach; names both.
+        MotionError: a waypoint is out of an arm's reach, or the roll would have to unwind; names
+            arm and waypoint.
     """
     q = np.empty((1 + len(waypoints), len(cell.arms), 7))
     q[0] = start
@@ -60,6 +61,12 @@ def resolve(
             )
         q[1:, index, :6] = solved
         q[:, index, 3] = _unwrapped(q[:, index, 3], arm.arm.limit(0)[3], arm.arm.limit(1)[3])
+        turned = np.flatnonzero(np.abs(np.diff(q[:, index, 3])) > np.pi)
+        if len(turned):
+            raise MotionError(
+                f"{arm.name}'s roll reaches its limit at waypoint {int(turned[0])} and would have to "
+                "turn back a whole turn; start with the roll a turn away, or rotate the path"
+            )
     return q
 
 

@@ -29,6 +29,8 @@ ATTEMPTS = 12
 LAST_FAST_ATTEMPT = 7
 """After this many attempts the end velocity is given up: the segment ends at rest."""
 
+TIP_SAMPLES = 16
+
 TIP_TOLERANCE = 1.03
 """Tip speed may pass the planned one by this, still 7 % below the gate's: a segment that starts at
 the planned speed must not stretch for ever over a rounding error."""
@@ -112,7 +114,7 @@ def travel_time(
     trajectory = ruckig.Trajectory(AXES)
     try:
         ruckig.Ruckig(AXES).calculate(request, trajectory)
-    except (RuntimeError, ValueError) as error:  # RuckigError is a RuntimeError
+    except (ruckig.RuckigError, ValueError) as error:
         raise MotionError(f"no jerk-limited motion to {list(target)}: {error}") from error
     return trajectory
 
@@ -178,7 +180,7 @@ class SegmentPlanner:
                 share = 0.0
                 continue
             segment = Segment(duration, duration / step_s, trajectories)
-            excess = self.tip_speed(start, segment) / self.tip_speed_m_s
+            excess = self.tip_speed(segment) / self.tip_speed_m_s
             if excess <= TIP_TOLERANCE:
                 return self._checked(segment)
             share, duration = self._slower(share, min(excess, 3.0), duration)
@@ -187,15 +189,16 @@ class SegmentPlanner:
             "ask for a smaller step"
         )
 
-    def tip_speed(self, start: Sequence[AxisMotion], segment: Segment) -> float:
-        """Largest tip speed of any arm between two setpoints of the segment, m/s."""
-        positions, _ = segment.table(self.period_s)
+    def tip_speed(self, segment: Segment) -> float:
+        """Largest mean tip speed of any arm over a sixteenth of the segment, m/s."""
+        piece_s = segment.duration_s / TIP_SAMPLES
+        motions = [segment.at(i * piece_s) for i in range(TIP_SAMPLES + 1)]
         fastest = 0.0
         for index, arm in enumerate(self.cell.arms):
-            q = np.vstack([start[index].p[:6], positions[:, index, :6]])
+            q = np.array([motion[index].p[:6] for motion in motions])
             steps = np.diff(forward_batch(arm.arm, q)[:, :3, 3], axis=0)
             fastest = max(fastest, float(np.sqrt((steps**2).sum(axis=1).max())))
-        return fastest / self.period_s
+        return fastest / piece_s
 
     def _checked(self, segment: Segment) -> Segment:
         if all(map(inside, self.limits, segment.trajectories)):

@@ -1,0 +1,87 @@
+"""The driver protocol: what every robot behind this package can do, in CRTK's words.
+
+Drivers take setpoints only as `safety.CheckedSetpoint`, which the supervisor alone can make: there
+is no second way to move. A driver's file offers `connect(options) -> Driver`; the conformance suite
+in `tests/integration/test_driver_conformance.py` holds each of them to the same behaviour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from viskill_deploy.core.clock import Clock
+from viskill_deploy.core.types import CellState, Scene
+from viskill_deploy.safety.checked import CheckedSetpoint
+
+DISABLED, ENABLED, PAUSED, FAULT = "DISABLED", "ENABLED", "PAUSED", "FAULT"
+"""CRTK operating states."""
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """What a driver is.
+
+    Attributes:
+        simulated: no real arm moves.
+        stepped: time moves only when its clock is asked to sleep.
+        resettable: `reset` puts the arms and objects somewhere.
+        sees_scene: `scene` gives object poses.
+    """
+
+    simulated: bool
+    stepped: bool
+    resettable: bool
+    sees_scene: bool
+
+
+class Driver(Protocol):
+    """A cell of arms. All calls return at once; time passes in `clock.sleep_until`.
+
+    Every method may raise DriverError, which the runtime turns into a verdict (S24).
+    """
+
+    clock: Clock
+    period_s: float
+    capabilities: Capabilities
+
+    def connect(self) -> None:
+        """Opens the connection; arms stay DISABLED."""
+        ...
+
+    def enable(self) -> None:
+        """Asks every arm for ENABLED."""
+        ...
+
+    def home(self) -> None:
+        """Asks every enabled arm to home."""
+        ...
+
+    def hold(self) -> None:
+        """Every arm stays at the setpoint that it holds."""
+        ...
+
+    def disable(self) -> None:
+        """Takes power from every arm."""
+        ...
+
+    def close(self) -> None:
+        """Holds, disables and closes the connection; may be called twice."""
+        ...
+
+    def state(self) -> CellState:
+        """The newest measurement of every arm, with validity and age, and the inputs."""
+        ...
+
+    def servo_jp(self, setpoints: Sequence[CheckedSetpoint]) -> None:
+        """Sends one setpoint an arm (joints and jaw), exactly as the supervisor passed it."""
+        ...
+
+    def scene(self) -> Scene | None:
+        """Where the objects are, if the driver sees them."""
+        ...
+
+    def reset(self, layout: Any) -> None:
+        """Puts arms and objects where `layout` says; only where `capabilities.resettable`."""
+        ...
