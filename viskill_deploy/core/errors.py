@@ -11,6 +11,7 @@ ViskillError
 ├── DriverError           the robot or its connection failed                (exit 4)
 ├── SafetyStop            the gate ended the run                            (exit 5)
 ├── MissingExtraError     an optional dependency is not installed           (exit 6)
+├── RecordingError        a recording cannot be written or read     (exit 3)
 └── TrainingError         learning or export failed
 
 Each message ends with what to do next; the facts are attributes, so that a caller can act on them.
@@ -124,6 +125,12 @@ class MissingExtraError(ViskillError, ImportError):
     def __init__(self, extra: str, what: str) -> None:
         self.extra = extra
         super().__init__(f"{what} needs an optional part: pip install 'viskill-deploy[{extra}]'")
+
+
+class RecordingError(ViskillError, OSError):
+    """A recording cannot be written or read."""
+
+    exit_code = 3
 
 
 class TrainingError(ViskillError, RuntimeError):
