@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 from viskill_deploy.core.clock import Clock
 from viskill_deploy.core.types import CellState, Scene
@@ -82,6 +82,10 @@ class Driver(Protocol):
         """Where the objects are, if the driver sees them."""
         ...
 
-    def reset(self, layout: Any) -> None:
+    def say(self, consent: bool | None = None, estop: bool | None = None) -> None:
+        """What the simulated operator does; only where `capabilities.simulated`."""
+        ...
+
+    def reset(self, layout: Scene) -> None:
         """Puts arms and objects where `layout` says; only where `capabilities.resettable`."""
         ...

@@ -1,0 +1,131 @@
+"""The loopback driver: the simulated cell, stepped. Time moves only when the clock is slept on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from viskill_deploy.core.clock import Clock, SteppedClock
+from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.errors import DriverError
+from viskill_deploy.core.types import CellState, JointSetpoint, Scene
+from viskill_deploy.drivers.base import Capabilities, Driver
+from viskill_deploy.drivers.loopback_cell import LoopbackCell
+from viskill_deploy.safety.checked import CheckedSetpoint
+from viskill_deploy.sim.world import World, WorldOptions
+
+
+def accepted(setpoints: Sequence[CheckedSetpoint]) -> list[JointSetpoint]:
+    """The numbers of checked setpoints, in the order of the arms.
+
+    Raises:
+        DriverError: something else than the supervisor's setpoints, or not one an arm.
+    """
+    for setpoint in setpoints:
+        if type(setpoint) is not CheckedSetpoint:
+            raise DriverError(
+                f"servo_jp takes CheckedSetpoint, not {type(setpoint).__name__}; "
+                "send what Supervisor.check returns"
+            )
+    if [s.arm for s in setpoints] != list(range(len(setpoints))):
+        raise DriverError("servo_jp needs one setpoint an arm, in the order of the cell")
+    return [s.setpoint for s in setpoints]
+
+
+class _WorldClock(SteppedClock):
+    """Simulated time: sleeping lets the world run."""
+
+    def __init__(self, driver: LoopbackDriver) -> None:
+        super().__init__()
+        self._driver = driver
+
+    def sleep_until(self, deadline_s: float) -> float:
+        """Runs whole control periods until the deadline is reached."""
+        while self.now() < deadline_s - 1e-9:
+            self._driver.advance()
+            self.advance(self._driver.period_s)
+        return self.now()
+
+
+class LoopbackDriver:
+    """The simulated cell in this process.
+
+    Args:
+        cell: the cell.
+        options: period, noise, delay.
+        seed: of the measurement noise.
+    """
+
+    capabilities = Capabilities(simulated=True, stepped=True, resettable=True, sees_scene=True)
+
+    def __init__(
+        self, cell: CellDescription, options: WorldOptions | None = None, seed: int = 0
+    ) -> None:
+        self.world = World(cell, options, seed)
+        self.period_s = self.world.options.period_s
+        self.clock: Clock = _WorldClock(self)
+        self._cell: LoopbackCell | None = None
+
+    @property
+    def cell(self) -> LoopbackCell:
+        """The connected cell; raises DriverError before `connect` and after `close`."""
+        if self._cell is None:
+            raise DriverError("the loopback is not connected; call connect() first")
+        return self._cell
+
+    def connect(self) -> None:
+        """Makes the cell available, DISABLED."""
+        self._cell = LoopbackCell(self.world)
+
+    def enable(self) -> None:
+        """Every arm ENABLED."""
+        self.cell.enable()
+
+    def home(self) -> None:
+        """Every arm homed where it is."""
+        self.cell.home()
+
+    def hold(self) -> None:
+        """Every arm stays at its setpoint."""
+        self.cell.hold()
+
+    def disable(self) -> None:
+        """Every arm DISABLED."""
+        self.cell.disable()
+
+    def close(self) -> None:
+        """Holds, disables and lets go of the cell."""
+        if self._cell is not None:
+            self._cell.disable()
+        self._cell = None
+
+    def say(self, consent: bool | None = None, estop: bool | None = None) -> None:
+        """What the simulated operator does."""
+        self.cell.say(consent, estop)
+
+    def state(self) -> CellState:
+        """The newest measurement."""
+        return self.cell.state(self.clock.now())
+
+    def servo_jp(self, setpoints: Sequence[CheckedSetpoint]) -> None:
+        """Sends one checked setpoint an arm."""
+        self.cell.servo_jp(accepted(setpoints))
+
+    def scene(self) -> Scene:
+        """The objects as the simulator knows them."""
+        return self.cell.scene(self.clock.now())
+
+    def reset(self, layout: Scene) -> None:
+        """Puts objects where `layout` says and the arms in their start pose."""
+        self.cell.reset(layout)
+
+    def advance(self) -> None:
+        """One control period of physics; a disconnected cell stands still."""
+        if self._cell is not None:
+            self._cell.advance()
+
+
+def connect(cell: CellDescription, options: WorldOptions | None = None, seed: int = 0) -> Driver:
+    """A connected stepped loopback."""
+    driver = LoopbackDriver(cell, options, seed)
+    driver.connect()
+    return driver

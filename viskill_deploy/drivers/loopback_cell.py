@@ -1,0 +1,136 @@
+"""The simulated cell as dVRK arms: operating states, held setpoints, a simulated operator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from viskill_deploy.core.errors import DriverError
+from viskill_deploy.core.types import (
+    PSM_JOINTS,
+    ArmState,
+    CellState,
+    Inputs,
+    Joints,
+    JointSetpoint,
+    Scene,
+)
+from viskill_deploy.drivers.base import DISABLED, ENABLED, PAUSED
+from viskill_deploy.sim.world import World
+
+REST: Joints = (0.0,) * 6
+
+
+class LoopbackCell:
+    """Arms of a `World` with the semantics that CRTK clients meet on a dVRK.
+
+    Setpoints are refused unless every arm is ENABLED and homed. The last setpoint is held for ever,
+    with zero velocity once the stream stops. Homing leaves an arm with a tool where it is.
+
+    Args:
+        world: the physics.
+    """
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self._state, self._homed = DISABLED, False
+        self._consent = self._estop = False
+        self._setpoints: list[JointSetpoint] = []
+        self._fresh = False
+        self._hold_at_measured()
+
+    def reset(self, scene: Scene) -> None:
+        """Puts objects where `scene` says and the arms in their start pose, at rest."""
+        self.world.reset(scene)
+        self._setpoints = [
+            JointSetpoint(tuple(row[:6]), REST, row[6], 0.0) for row in self.world.home.tolist()
+        ]
+
+    def enable(self) -> None:
+        """DISABLED or PAUSED → ENABLED."""
+        self._hold_at_measured()
+        self._state = ENABLED
+
+    def home(self) -> None:
+        """Homes the enabled arms.
+
+        Raises:
+            DriverError: they are not enabled.
+        """
+        if self._state != ENABLED:
+            raise DriverError(f"home is not possible in state {self._state}; enable the arms first")
+        self._homed = True
+
+    def pause(self) -> None:
+        """Keeps power and setpoint; motion is refused until the arms are enabled again."""
+        self._state = PAUSED
+
+    def hold(self) -> None:
+        """Stays at the setpoint, at rest."""
+        self._setpoints = [JointSetpoint(s.jp, REST, s.jaw, 0.0) for s in self._setpoints]
+
+    def disable(self) -> None:
+        """Takes power away; the arms keep their joints where the brakes catch them."""
+        self.hold()
+        self._state = DISABLED
+
+    def say(self, consent: bool | None = None, estop: bool | None = None) -> None:
+        """What the simulated operator does: agrees to motion, presses the e-stop."""
+        self._consent = self._consent if consent is None else consent
+        self._estop = self._estop if estop is None else estop
+
+    def servo_jp(self, setpoints: Sequence[JointSetpoint]) -> None:
+        """Takes one setpoint an arm.
+
+        Raises:
+            DriverError: an arm is not ready, or their number is wrong.
+        """
+        if self._state != ENABLED or not self._homed:
+            raise DriverError(f"servo_jp: arms not ready ({self._state}); enable and home them")
+        if len(setpoints) != len(self._setpoints):
+            raise DriverError(
+                f"servo_jp: {len(setpoints)} setpoints for {len(self._setpoints)} arms"
+            )
+        self._setpoints, self._fresh = list(setpoints), True
+
+    def advance(self) -> None:
+        """Lets one control period pass."""
+        if not self._fresh:
+            self.hold()
+        self._fresh = False
+        self.world.step(self._setpoints)
+
+    def state(self, now: float) -> CellState:
+        """Every arm as measured at `now`."""
+        arms = []
+        for index, arm in enumerate(self.world.cell.arms):
+            seen, held = self.world.measured(index), self._setpoints[index]
+            arms.append(
+                ArmState(
+                    name=arm.name,
+                    stamp_s=now,
+                    valid=True,
+                    operating_state=self._state,
+                    is_homed=self._homed,
+                    is_busy=False,
+                    measured_jp=seen.jp,
+                    measured_jv=seen.jv,
+                    jaw_measured_jp=seen.jaw,
+                    jaw_measured_jv=seen.jaw_v,
+                    setpoint_jp=held.jp,
+                    jaw_setpoint_jp=held.jaw,
+                    joint_names=PSM_JOINTS,
+                    tool=arm.arm.tool,
+                )
+            )
+        return CellState(tuple(arms), Inputs(self._consent, now, "simulated", self._estop))
+
+    def scene(self, now: float) -> Scene:
+        """The objects as seen at `now`."""
+        seen = self.world.scene()
+        return Scene(now, seen.objects, seen.active, seen.goal)
+
+    def _hold_at_measured(self) -> None:
+        if not self._setpoints:
+            self._setpoints = [
+                JointSetpoint(tuple(row[:6]), REST, row[6], 0.0) for row in self.world.home.tolist()
+            ]
