@@ -1,0 +1,212 @@
+"""One patient-side manipulator at joint level, as MuJoCo bodies built from its DH rows.
+
+Masses are small and compensated: the arm's inertia is each joint's `armature` of its
+`[joint.dynamics]` and its drive is a position + velocity servo with the joint's effort limit, so
+that an arm answers its setpoints as its file says and gravity does not act (a Classic PSM carries
+counterweights).
+"""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+
+from viskill_deploy.core.description import CellArm, Jaw, RevoluteJoint
+from viskill_deploy.core.types import FloatArray
+from viskill_deploy.sim.materials import CONTACT_SOLIMP, CONTACT_SOLREF, FRICTION, Touch
+
+LINK_MASS_KG = 0.02
+SHAFT_RADIUS_M = 0.0042
+WRIST_RADIUS_M = 0.0025
+FINGER_THICKNESS_M = 0.0014
+FINGER_WIDTH_M = 0.0018
+
+GRIP_TORQUE_NM = 0.01
+"""Torque limit of each finger: about 1.2 N at the wall of a block. An instrument can give ten times
+that; a peg-transfer block of 5 g needs no more, and more would dent the simulated contact."""
+JAW_STIFFNESS_NM_PER_RAD = 0.15
+JAW_ARMATURE_KG_M2 = 2e-5
+JAW_DAMPING_NM_S_PER_RAD = 2.0 * math.sqrt(JAW_STIFFNESS_NM_PER_RAD * JAW_ARMATURE_KG_M2 / 2.0)
+"""Critical damping of two fingers that move as one."""
+
+
+def quaternion(rotation: FloatArray) -> FloatArray:
+    """Unit quaternion (w, x, y, z) of a rotation matrix, (4,)."""
+    result = np.zeros(4)
+    mujoco.mju_mat2Quat(result, np.ascontiguousarray(rotation).ravel())
+    return result
+
+
+def rotation_x(angle: float) -> FloatArray:
+    """Rotation about x, (3, 3)."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def rotation_z(angle: float) -> FloatArray:
+    """Rotation about z, (3, 3)."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def add_arm(spec: mujoco.MjSpec, cell_arm: CellArm, friction: bool) -> None:
+    """Adds an arm in its place: six joints, two coupled fingers, servos, the site `<arm>/tip`.
+
+    Args:
+        spec: the model that is being built.
+        cell_arm: the arm; joints are named `<arm>/<joint>`, fingers `<arm>/jaw_left` and `_right`.
+        friction: whether joints have the Coulomb friction of their file.
+
+    Raises:
+        DataFileError: a joint has no `[joint.dynamics]`.
+    """
+    name = cell_arm.name
+    body = spec.worldbody.add_body(
+        name=f"{name}/base",
+        pos=cell_arm.T_task_base[:3, 3],
+        quat=quaternion(cell_arm.T_task_base[:3, :3]),
+    )
+    body.add_geom(
+        name=f"{name}/rcm",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[0.006, 0, 0],
+        material="port",
+        **Touch.NOTHING.bits,
+    )
+    for index, joint in enumerate(cell_arm.arm.joints):
+        turn = joint.theta_rad + (joint.offset if isinstance(joint, RevoluteJoint) else 0.0)
+        slide = joint.d_m + (0.0 if isinstance(joint, RevoluteJoint) else joint.offset)
+        tilt = rotation_x(joint.alpha_rad)
+        body = body.add_body(
+            name=f"{name}/{joint.name}",
+            pos=tilt @ np.array([joint.a_m, 0.0, slide]),
+            quat=quaternion(tilt @ rotation_z(turn)),
+            mass=LINK_MASS_KG,
+            inertia=[1e-7, 1e-7, 1e-7],
+            explicitinertial=True,
+            gravcomp=1.0,
+        )
+        armature, stiffness, damping, friction_loss, effort = joint.servo
+        revolute = isinstance(joint, RevoluteJoint)
+        kind = mujoco.mjtJoint.mjJNT_HINGE if revolute else mujoco.mjtJoint.mjJNT_SLIDE
+        body.add_joint(
+            name=f"{name}/{joint.name}",
+            type=kind,
+            axis=[0, 0, 1],
+            armature=armature,
+            frictionloss=friction_loss if friction else 0.0,
+            limited=mujoco.mjtLimited.mjLIMITED_FALSE,
+        )
+        _servo(spec, f"{name}/{joint.name}", mujoco.mjtTrn.mjTRN_JOINT, stiffness, damping, effort)
+        _add_looks(body, name, index, cell_arm)
+    _add_jaw(spec, body, name, cell_arm)
+
+
+def _servo(
+    spec: mujoco.MjSpec,
+    target: str,
+    transmission: mujoco.mjtTrn,
+    stiffness: float,
+    damping: float,
+    effort: float,
+) -> None:
+    """A drive with two inputs: position and velocity setpoint."""
+    drive = spec.add_actuator(name=target, target=target, trntype=transmission)
+    drive.set_to_pid(kp=stiffness, kv=damping)
+    drive.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    drive.forcerange = [-effort, effort]
+
+
+def _add_looks(body: mujoco.MjsBody, name: str, index: int, cell_arm: CellArm) -> None:
+    """What is seen of the shaft and the wrist; the wrist also pushes blocks."""
+    if index == 3:
+        length = cell_arm.arm.joints[3].d_m
+        body.add_geom(
+            name=f"{name}/shaft",
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[0, 0, -length, 0, 0, -SHAFT_RADIUS_M],
+            size=[SHAFT_RADIUS_M, 0, 0],
+            material="shaft",
+            **Touch.NOTHING.bits,
+        )
+    if index == 4:
+        body.add_geom(
+            name=f"{name}/wrist",
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[0, 0, 0, cell_arm.arm.joints[5].a_m, 0, 0],
+            size=[WRIST_RADIUS_M, 0, 0],
+            material="steel",
+            solref=CONTACT_SOLREF,
+            **Touch.WRIST.bits,
+        )
+
+
+def _add_jaw(spec: mujoco.MjSpec, wrist: mujoco.MjsBody, name: str, cell_arm: CellArm) -> None:
+    tip = wrist.add_body(
+        name=f"{name}/tip",
+        quat=quaternion(cell_arm.arm.tip_rotation),
+        mass=1e-3,
+        inertia=[1e-8, 1e-8, 1e-8],
+        explicitinertial=True,
+        gravcomp=1.0,
+    )
+    tip.add_site(name=f"{name}/tip", size=[0.0005, 0.0005, 0.0005], group=4)
+    jaw = cell_arm.arm.jaw
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        _add_finger(tip, f"{name}/jaw_{side}", sign, jaw)
+    spec.add_exclude(bodyname1=f"{name}/jaw_left", bodyname2=f"{name}/jaw_right")
+    spec.add_equality(
+        name=f"{name}/jaw",
+        type=mujoco.mjtEq.mjEQ_JOINT,
+        objtype=mujoco.mjtObj.mjOBJ_JOINT,
+        name1=f"{name}/jaw_left",
+        name2=f"{name}/jaw_right",
+        data=[0.0, 1.0, *[0.0] * 10],
+        solref=CONTACT_SOLREF,
+    )
+    opening = spec.add_tendon(name=f"{name}/jaw")
+    opening.wrap_joint(f"{name}/jaw_left", 1.0)
+    opening.wrap_joint(f"{name}/jaw_right", 1.0)
+    _servo(
+        spec,
+        f"{name}/jaw",
+        mujoco.mjtTrn.mjTRN_TENDON,
+        JAW_STIFFNESS_NM_PER_RAD,
+        JAW_DAMPING_NM_S_PER_RAD,
+        min(GRIP_TORQUE_NM, jaw.effort_nm),
+    )
+
+
+def _add_finger(tip: mujoco.MjsBody, name: str, sign: float, jaw: Jaw) -> None:
+    finger = tip.add_body(
+        name=name,
+        mass=1e-3,
+        ipos=[0, 0, jaw.finger_length_m / 2],
+        inertia=[1e-8, 1e-8, 1e-8],
+        explicitinertial=True,
+        gravcomp=1.0,
+    )
+    finger.add_joint(
+        name=name,
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        axis=[-sign, 0, 0],
+        armature=JAW_ARMATURE_KG_M2,
+        limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+        range=[0.0, max(jaw.upper_rad, 0.1) / 2],
+        solref_limit=CONTACT_SOLREF,
+    )
+    half = [FINGER_WIDTH_M / 2, FINGER_THICKNESS_M / 2, jaw.finger_length_m / 2]
+    finger.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[0, sign * half[1], half[2]],
+        size=half,
+        material="steel",
+        condim=4,
+        friction=FRICTION,
+        solref=CONTACT_SOLREF,
+        solimp=CONTACT_SOLIMP,
+        **Touch.FINGER.bits,
+    )
