@@ -221,18 +221,18 @@ def write_metadata(folder: Path, file: McapFile, name: str) -> None:
         f"  message_count: {totals.messages}\n"
     )
     topics = "".join(
-        "  - topic_metadata:\n"
+        "\n  - topic_metadata:\n"
         f"      name: {channel.topic}\n"
         f"      type: {channel.type.name}\n"
         "      serialization_format: cdr\n"
         "      offered_qos_profiles: ''\n"
         f"      type_description_hash: {channel.type.rihs01}\n"
-        f"    message_count: {totals.counts[channel.id]}\n"
+        f"    message_count: {totals.counts[channel.id]}"
         for channel in file.channels
     )
     text = (
         "rosbag2_bagfile_information:\n  version: 8\n  storage_identifier: mcap\n"
-        f"{times}  topics_with_message_count:\n{topics}"
+        f"{times}  topics_with_message_count:{topics or ' []'}\n"
         "  compression_format: ''\n  compression_mode: ''\n"
         f"  relative_file_paths:\n  - {name}\n"
         f"  files:\n  - path: {name}\n" + "".join(f"  {line}\n" for line in times.splitlines())

@@ -119,9 +119,12 @@ class RunFile:
         packed = self._data[at + 8 : at + 8 + size]
         if compression not in {"", "zstd"}:
             raise RecordingError(f"{self._path}: {compression} chunks; convert them to zstd first")
-        raw = zstd.decompress(packed) if compression else packed
+        try:
+            raw = zstd.decompress(packed) if compression else packed
+        except zstd.ZstdError as error:
+            raise RecordingError(f"{self._path}: damaged ({error}); copy it again") from error
         if crc and zlib.crc32(raw) != crc:
-            raise RecordingError(f"{self._path}: a chunk's checksum is wrong; copy the file again")
+            raise RecordingError(f"{self._path}: damaged (wrong checksum); copy it again")
         return raw
 
     def _runs(self, raw: bytes) -> Iterator[Run]:
