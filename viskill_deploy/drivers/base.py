@@ -14,6 +14,7 @@ from typing import Protocol
 from viskill_deploy.core.clock import Clock
 from viskill_deploy.core.types import CellState, Scene
 from viskill_deploy.safety.checked import CheckedSetpoint
+from viskill_deploy.sim.world import ActiveObject
 
 DISABLED, ENABLED, PAUSED, FAULT = "DISABLED", "ENABLED", "PAUSED", "FAULT"
 """CRTK operating states."""
@@ -84,6 +85,10 @@ class Driver(Protocol):
 
     def say(self, consent: bool | None = None, estop: bool | None = None) -> None:
         """What the simulated operator does; only where `capabilities.simulated`."""
+        ...
+
+    def active_object(self) -> ActiveObject:
+        """The truth about the active object; only where `capabilities.simulated`."""
         ...
 
     def reset(self, layout: Scene) -> None:

@@ -11,7 +11,7 @@ from viskill_deploy.core.types import CellState, JointSetpoint, Scene
 from viskill_deploy.drivers.base import Capabilities, Driver
 from viskill_deploy.drivers.loopback_cell import LoopbackCell
 from viskill_deploy.safety.checked import CheckedSetpoint
-from viskill_deploy.sim.world import World, WorldOptions
+from viskill_deploy.sim.world import ActiveObject, World, WorldOptions
 
 
 def accepted(setpoints: Sequence[CheckedSetpoint]) -> list[JointSetpoint]:
@@ -117,6 +117,10 @@ class LoopbackDriver:
     def reset(self, layout: Scene) -> None:
         """Puts objects where `layout` says and the arms in their start pose."""
         self.cell.reset(layout)
+
+    def active_object(self) -> ActiveObject:
+        """The truth about the active object, for judging success."""
+        return self.world.active_object()
 
     def advance(self) -> None:
         """One control period of physics; a disconnected cell stands still."""

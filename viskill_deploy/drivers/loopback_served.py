@@ -1,0 +1,221 @@
+"""Client side of the served loopback: the driver, and a second handle that may only stop."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from viskill_deploy.core.clock import Clock, MonotonicClock
+from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.errors import DriverError
+from viskill_deploy.core.types import CellState, Scene
+from viskill_deploy.drivers.base import Capabilities, Driver
+from viskill_deploy.drivers.loopback import accepted
+from viskill_deploy.drivers.loopback_wire import (
+    LineSocket,
+    Message,
+    pack_scene,
+    pack_setpoints,
+    unpack_object,
+    unpack_scene,
+    unpack_state,
+)
+from viskill_deploy.safety.checked import CheckedSetpoint
+from viskill_deploy.sim.world import ActiveObject
+
+START_TIMEOUT_S = 20.0
+ANSWER_TIMEOUT_S = 5.0
+POLL_S = 0.0005
+
+
+class StopHandle:
+    """A second connection to a served loopback: it may hold and disable, nothing else."""
+
+    def __init__(self, path: Path) -> None:
+        self._line = LineSocket(_connected(path, MonotonicClock()))
+
+    def hold(self) -> None:
+        """Every arm stays where it is."""
+        self._line.send({"do": "hold"})
+
+    def disable(self) -> None:
+        """Takes power from every arm."""
+        self._line.send({"do": "disable"})
+
+    def send(self, message: Message) -> None:
+        """Sends any request; the server refuses all but the two above."""
+        self._line.send(message)
+
+    def answers(self) -> list[Message]:
+        """What the server has said to this handle."""
+        return self._line.receive()
+
+    def close(self) -> None:
+        """Lets go."""
+        self._line.close()
+
+
+class ServedLoopback:
+    """The simulated cell in a process of its own, in real time.
+
+    Args:
+        cell: the cell; the server loads it by its name.
+        period_s: control period of both sides.
+        seed: of the measurement noise.
+
+    Attributes:
+        path: the server's socket, for a `StopHandle`.
+    """
+
+    capabilities = Capabilities(simulated=True, stepped=False, resettable=True, sees_scene=True)
+
+    def __init__(self, cell: CellDescription, period_s: float = 0.004, seed: int = 0) -> None:
+        self.clock: Clock = MonotonicClock()
+        self.period_s, self._cell, self._seed = period_s, cell, seed
+        self._folder = tempfile.TemporaryDirectory(prefix="viskill-")
+        self.path = Path(self._folder.name) / "loopback.sock"
+        self.process: subprocess.Popen[bytes] | None = None
+        self._line: LineSocket | None = None
+        self._state: CellState | None = None
+        self._scene: Scene | None = None
+        self._requests = 0
+        self._answers: dict[int, Message] = {}
+
+    def connect(self) -> None:
+        """Starts the server and waits for its first word.
+
+        Raises:
+            DriverError: it did not come up in time.
+        """
+        command = [sys.executable, "-m", "viskill_deploy.drivers.loopback_server"]
+        command += ["--cell", self._cell.name, "--socket", str(self.path)]
+        command += ["--period", str(self.period_s), "--seed", str(self._seed)]
+        self.process = subprocess.Popen(command)
+        self._line = LineSocket(_connected(self.path, self.clock))
+        self._wait(lambda: self._state is not None, "first state")
+
+    def enable(self) -> None:
+        """Every arm ENABLED."""
+        self._ask({"do": "enable"})
+
+    def home(self) -> None:
+        """Every arm homed where it is."""
+        self._ask({"do": "home"})
+
+    def hold(self) -> None:
+        """Every arm stays at its setpoint."""
+        self._ask({"do": "hold"})
+
+    def disable(self) -> None:
+        """Every arm DISABLED."""
+        self._ask({"do": "disable"})
+
+    def close(self) -> None:
+        """Stops the server and closes the connection."""
+        if self._line is not None:
+            with contextlib.suppress(DriverError):  # it is gone already, and gone arms hold
+                self._line.send({"do": "stop"})
+            self._line.close()
+            self._line = None
+        if self.process is not None:
+            try:
+                self.process.wait(timeout=ANSWER_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+            self.process = None
+        self._folder.cleanup()
+
+    def say(self, consent: bool | None = None, estop: bool | None = None) -> None:
+        """What the simulated operator does."""
+        self._ask({"do": "say", "consent": consent, "estop": estop})
+
+    def state(self) -> CellState:
+        """The newest measurement that has arrived."""
+        self._drain()
+        if self._state is None:
+            raise DriverError("the loopback has sent no state yet; connect() first")
+        return self._state
+
+    def servo_jp(self, setpoints: Sequence[CheckedSetpoint]) -> None:
+        """Sends one checked setpoint an arm."""
+        rows = pack_setpoints(accepted(setpoints))
+        self._connected_line().send({"do": "servo_jp", "setpoints": rows})
+
+    def scene(self) -> Scene | None:
+        """The objects as last seen."""
+        self._drain()
+        return self._scene
+
+    def reset(self, layout: Scene) -> None:
+        """Puts objects where `layout` says and the arms in their start pose."""
+        self._ask({"do": "reset", "scene": pack_scene(layout)})
+        self._scene = None
+        self._wait(lambda: self._scene is not None, "scene after the reset")
+
+    def active_object(self) -> ActiveObject:
+        """The truth about the active object, for judging success."""
+        return unpack_object(self._ask({"do": "active_object"})["object"])
+
+    def _connected_line(self) -> LineSocket:
+        if self._line is None:
+            raise DriverError("the loopback is not connected; call connect() first")
+        return self._line
+
+    def _drain(self) -> None:
+        for message in self._connected_line().receive():
+            if "state" in message:
+                self._state = unpack_state(message["state"])
+            if "scene" in message:
+                self._scene = unpack_scene(message["scene"])
+            if message.get("id") is not None:
+                self._answers[message["id"]] = message
+            elif "error" in message:
+                raise DriverError(f"the loopback refused: {message['error']}")
+
+    def _ask(self, request: Message) -> Message:
+        self._requests += 1
+        key = self._requests
+        self._connected_line().send(request | {"id": key})
+        self._wait(lambda: key in self._answers, f"answer to {request['do']}")
+        answer = self._answers.pop(key)
+        if "error" in answer:
+            raise DriverError(f"the loopback refused: {answer['error']}")
+        return answer
+
+    def _wait(self, arrived: Callable[[], bool], what: str) -> None:
+        deadline = self.clock.now() + ANSWER_TIMEOUT_S
+        while True:
+            self._drain()
+            if arrived():
+                return
+            if self.clock.now() > deadline:
+                raise DriverError(f"the loopback gave no {what} within {ANSWER_TIMEOUT_S} s")
+            self.clock.sleep_until(self.clock.now() + POLL_S)
+
+
+def connect(cell: CellDescription, period_s: float = 0.004, seed: int = 0) -> Driver:
+    """A connected served loopback."""
+    driver = ServedLoopback(cell, period_s, seed)
+    driver.connect()
+    return driver
+
+
+def _connected(path: Path, clock: Clock) -> socket.socket:
+    deadline = clock.now() + START_TIMEOUT_S
+    while True:
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            connection.connect(str(path))
+        except OSError as error:
+            connection.close()
+            if clock.now() > deadline:
+                raise DriverError(f"no loopback at {path} ({error}); start it first") from error
+            clock.sleep_until(clock.now() + 0.02)
+        else:
+            return connection
