@@ -1,0 +1,63 @@
+"""The loosest values that any file may ask for. Code, not data: no file, flag or option lifts them.
+
+A robot or cell file may be stricter; a looser value is refused when the cell is loaded.
+Order of joints: yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw, jaw.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+MAX_SPEED: Final = (1.57, 1.57, 0.2, 18.8, 18.8, 18.8, 6.0)
+"""rad/s, m/s. What dVRK plans its own move_jp with; the jaw's is that of the tasks' jaw ramp."""
+
+MAX_ACCELERATION: Final = (7.85, 7.85, 1.0, 63.0, 63.0, 63.0, 63.0)
+"""rad/s^2, m/s^2. Five times dVRK's move_jp, whose 1.57 / 0.2 / 12.6 do not bound its servo_jp."""
+
+MAX_JERK: Final = (157.0, 157.0, 20.0, 1260.0, 1260.0, 1260.0, 1260.0)
+"""rad/s^3, m/s^3. Acceleration reached in no less than 50 ms."""
+
+CLASSIC_RANGE: Final = ((-1.588, 1.588), (-0.925025, 0.925025), (0.0, 0.24))
+"""rad, rad, m. Soft limits of the first three joints in dVRK's file of the Classic arm."""
+
+SI_RANGE: Final = ((-2.964, 2.964), (-1.265, 1.301), (0.0, 0.29))
+"""rad, rad, m. The same for the Si arm."""
+
+SI_SHAFT_OFFSET_M: Final = -0.4826
+"""Insertion offset by which an Si arm is known; any other arm has to fit the Classic range."""
+
+TOOL_RANGE: Final = ((-4.54, 4.54), (-1.5708, 1.5708), (-1.5708, 1.5708), (-0.7, 1.3963))
+"""rad: roll 260 deg, wrist 90 deg, jaw -40..80 deg. The widest of all instrument definitions."""
+
+MEASURED_SLACK: Final = 0.0087
+"""rad or m beyond a hard limit (half a degree), as ros2_control tolerates."""
+
+FIRST_COMMAND: Final = (0.02, 0.001)
+"""rad, m. A first setpoint farther from the driver's own would be felt as a jerk at start."""
+
+MIN_POSITION_MARGIN: Final = (0.01, 0.001)
+"""rad, m. A stop from a crawl fits into it."""
+
+MIN_PAST_RCM_M: Final = 0.047
+"""dVRK refuses Cartesian motion with the wrist under 45 mm past the remote centre; 2 mm more."""
+
+MAX_FEEDBACK_PERIOD_S: Final = 0.02
+"""Feedback slower than 50 Hz would let ten missed samples pass for 200 ms."""
+
+TIP_SPEED_M_S: Final = 0.05
+"""Speed of the control point in a run: the tasks' own scripted motions stay under it."""
+
+TIP_SPEED_CEILING_M_S: Final = 0.25
+"""ISO 10218-1, reduced speed in manual mode."""
+
+MIN_FLOOR_M: Final = -0.002
+"""Deepest floor of any task: a letter's grasp lies 2 mm under the table's top."""
+
+MAX_WORKSPACE_SIDE_M: Final = 0.3
+"""No side of the workspace is longer than an instrument's insertion range."""
+
+MAX_FINGER_M: Final = 0.05
+"""The longest jaw of any instrument is shorter."""
+
+PERIOD_S: Final = (0.001, 0.01)
+"""1 kHz to 100 Hz: what the smoothing and this gate's differences were tested with."""

@@ -1,0 +1,212 @@
+"""The thresholds of one cell, frozen, in plain floats; refused when looser than the ceilings."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from viskill_deploy.core.description import ArmDescription, CellArm, CellDescription
+from viskill_deploy.core.errors import DataFileError
+from viskill_deploy.core.types import Joints
+from viskill_deploy.safety import ceilings
+from viskill_deploy.safety.geometry import Chain, Point
+
+ROUNDING = 1e-9
+"""Thresholds give this relative width, so that a value exactly at one passes in spite of rounding
+(second differences of positions at 1 kHz carry 2e-10)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArmEnvelope:
+    """What one arm may do. Seven entries are six joints and the jaw; rad, m, s.
+
+    Attributes:
+        lower, upper: hard limits, (7,).
+        margin: distance that setpoints keep from them, (6,).
+        max_speed, max_acceleration, max_jerk: (7,).
+        first_command: how far the first setpoint may be from the driver's, (6,).
+        insertion_min: insertion with the wrist just past the cannula.
+        workspace_lower, workspace_upper: box of the control point, task frame.
+    """
+
+    name: str
+    tool: str
+    joint_names: tuple[str, ...]
+    lower: Joints
+    upper: Joints
+    margin: Joints
+    max_speed: Joints
+    max_acceleration: Joints
+    max_jerk: Joints
+    measured_slack: float
+    first_command: Joints
+    insertion_min: float
+    feedback_period: float
+    workspace_lower: Point
+    workspace_upper: Point
+    chain: Chain
+
+
+@dataclass(frozen=True, slots=True)
+class CellEnvelope:
+    """What the whole cell may do.
+
+    Attributes:
+        period: control period, s.
+        tip_speed: speed of a control point in a run, m/s.
+        tip_speed_ceiling: speed at which the run ends, m/s.
+        floor: lowest height of a jaw end, task frame, m.
+    """
+
+    arms: tuple[ArmEnvelope, ...]
+    period: float
+    tip_speed: float
+    tip_speed_ceiling: float
+    floor: float
+
+    @classmethod
+    def of(cls, cell: CellDescription, period_s: float) -> CellEnvelope:
+        """The thresholds of `cell`, each checked for sense and against its ceiling.
+
+        Raises:
+            DataFileError: a value is not finite, not positive, out of order or looser than the
+                ceiling; names file, key, value and bound.
+        """
+        path, motion = cell.files[0], cell.file.motion
+        low, high = ceilings.PERIOD_S
+        _within(path, "period_s", period_s, low, high)
+        _positive(path, "motion.tip_speed_m_s", motion.tip_speed_m_s, ceilings.TIP_SPEED_M_S)
+        _within(
+            path,
+            "motion.tip_speed_ceiling_m_s",
+            motion.tip_speed_ceiling_m_s,
+            motion.tip_speed_m_s,
+            ceilings.TIP_SPEED_CEILING_M_S,
+        )
+        _within(path, "motion.floor_m", motion.floor_m, ceilings.MIN_FLOOR_M, 0.1)
+        if not cell.arms:
+            raise DataFileError(path, "arm", "the cell has no arm; add one")
+        return cls(
+            arms=tuple(_arm(path, arm) for arm in cell.arms),
+            period=float(period_s),
+            tip_speed=float(motion.tip_speed_m_s),
+            tip_speed_ceiling=float(motion.tip_speed_ceiling_m_s),
+            floor=float(motion.floor_m),
+        )
+
+
+def _arm(cell_path: Path, cell_arm: CellArm) -> ArmEnvelope:
+    arm, entry = cell_arm.arm, cell_arm.entry
+    _check_joints(arm)
+    _check_gate(arm)
+    _check_workspace(cell_path, cell_arm)
+    jaw, gate = arm.jaw, arm.gate
+    by_kind = [joint.type == "prismatic" for joint in arm.joints]
+    return ArmEnvelope(
+        name=cell_arm.name,
+        tool=arm.tool,
+        joint_names=tuple(joint.name for joint in arm.joints),
+        lower=_floats(*arm.limit(0), jaw.lower_rad),
+        upper=_floats(*arm.limit(1), jaw.upper_rad),
+        margin=_floats(
+            *(gate.position_margin_m if slides else gate.position_margin_rad for slides in by_kind)
+        ),
+        max_speed=_floats(*arm.limit(2), jaw.max_velocity_rad_s),
+        max_acceleration=_floats(*arm.limit(3), jaw.max_acceleration_rad_s2),
+        max_jerk=_floats(*arm.limit(4), jaw.max_jerk_rad_s3),
+        measured_slack=float(gate.measured_slack),
+        first_command=_floats(
+            *(gate.first_command_m if slides else gate.first_command_rad for slides in by_kind)
+        ),
+        insertion_min=float(arm.insertion_min_m),
+        feedback_period=float(gate.feedback_period_s),
+        workspace_lower=entry.workspace_lower_m,
+        workspace_upper=entry.workspace_upper_m,
+        chain=Chain.of(cell_arm),
+    )
+
+
+def _check_joints(arm: ArmDescription) -> None:
+    """Joint limits against the ceilings of their place in the chain."""
+    robot, tool = arm.files[0], arm.files[-1]
+    is_si = abs(arm.joints[2].offset - ceilings.SI_SHAFT_OFFSET_M) < 1e-6
+    ranges = (*(ceilings.SI_RANGE if is_si else ceilings.CLASSIC_RANGE), *ceilings.TOOL_RANGE)
+    jaw = arm.jaw
+    named = [(joint.name, joint.limits) for joint in arm.joints]
+    named.append(
+        (
+            "jaw",
+            (
+                jaw.lower_rad,
+                jaw.upper_rad,
+                jaw.max_velocity_rad_s,
+                jaw.max_acceleration_rad_s2,
+                jaw.max_jerk_rad_s3,
+            ),
+        )
+    )
+    for index, (name, limits) in enumerate(named):
+        path = robot if index < 3 else tool
+        lower, upper, speed, acceleration, jerk = limits
+        low, high = ranges[index]
+        _within(path, f"{name}.lower", lower, low, high)
+        _within(path, f"{name}.upper", upper, lower, high)
+        _positive(path, f"{name}.max_velocity", speed, ceilings.MAX_SPEED[index])
+        _positive(path, f"{name}.max_acceleration", acceleration, ceilings.MAX_ACCELERATION[index])
+        _positive(path, f"{name}.max_jerk", jerk, ceilings.MAX_JERK[index])
+
+
+def _check_gate(arm: ArmDescription) -> None:
+    """The arm's own thresholds of the gate; a margin is stricter when larger."""
+    path, gate = arm.files[0], arm.gate
+    margin_rad, margin_m = ceilings.MIN_POSITION_MARGIN
+    first_rad, first_m = ceilings.FIRST_COMMAND
+    _within(path, "gate.position_margin_rad", gate.position_margin_rad, margin_rad, 0.5)
+    _within(path, "gate.position_margin_m", gate.position_margin_m, margin_m, 0.1)
+    _within(path, "gate.measured_slack", gate.measured_slack, 0.0, ceilings.MEASURED_SLACK)
+    _positive(path, "gate.first_command_rad", gate.first_command_rad, first_rad)
+    _positive(path, "gate.first_command_m", gate.first_command_m, first_m)
+    _within(
+        path, "gate.insertion_past_rcm_m", gate.insertion_past_rcm_m, ceilings.MIN_PAST_RCM_M, 0.2
+    )
+    slowest = ceilings.MAX_FEEDBACK_PERIOD_S
+    _positive(path, "gate.feedback_period_s", gate.feedback_period_s, slowest)
+    _positive(arm.files[-1], "jaw.finger_length_m", arm.jaw.finger_length_m, ceilings.MAX_FINGER_M)
+
+
+def _check_workspace(path: Path, cell_arm: CellArm) -> None:
+    entry = cell_arm.entry
+    for low, high in zip(entry.workspace_lower_m, entry.workspace_upper_m, strict=True):
+        key = f"arm.{cell_arm.name}.workspace"
+        _positive(path, key, high - low, ceilings.MAX_WORKSPACE_SIDE_M)
+        _within(path, key, low, -ceilings.MAX_WORKSPACE_SIDE_M, ceilings.MAX_WORKSPACE_SIDE_M)
+    T = cell_arm.T_task_base
+    if T.shape != (4, 4) or not abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() < 1e-9:
+        raise DataFileError(
+            path, f"arm.{cell_arm.name}", "its base pose is no rigid transform; correct it"
+        )
+    for value in T[:3, 3]:
+        _within(path, f"arm.{cell_arm.name}.base_position_m", float(value), -2.0, 2.0)
+
+
+def _positive(path: Path, key: str, value: float, ceiling: float) -> None:
+    """Refuses zero, a negative number, NaN and whatever is above the ceiling."""
+    _within(path, key, value, math.ulp(0.0), ceiling)
+
+
+def _within(path: Path, key: str, value: float, low: float, high: float) -> None:
+    """Refuses a value outside its bounds, and NaN."""
+    if not (low <= value <= high and math.isfinite(value)):
+        raise DataFileError(
+            path,
+            key,
+            f"{value!r} is outside [{low:.6g}, {high:.6g}], the widest that the gate accepts; "
+            "a file may only be stricter",
+        )
+
+
+def _floats(*values: float) -> Joints:
+    return tuple(map(float, values))

@@ -1,0 +1,79 @@
+"""S01: every number sent is finite, float64 and in the right place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import isnan
+from typing import Any, ClassVar
+
+from viskill_deploy.core.types import Action, JointSetpoint, Request, Verdict
+from viskill_deploy.safety.cycle import Cycle
+from viskill_deploy.safety.envelope import CellEnvelope
+from viskill_deploy.safety.rule_base import Needs
+from viskill_deploy.safety.soundness import first_unsound, is_sound_number, is_sound_vector
+
+JAW = 6
+
+
+class Rule:
+    """FAULT: a line that makes such a number cannot be trusted with the next one."""
+
+    id: ClassVar[str] = "S01"
+    needs: ClassVar[Needs] = Needs.NOTHING
+
+    def __init__(self, cell: CellEnvelope) -> None:
+        self._arms = len(cell.arms)
+
+    def margin(self, cycle: Cycle) -> float:
+        """1.0 for a sound request, also for none at all (that is S16's)."""
+        request = cycle.request
+        setpoints = request.setpoints
+        if setpoints is None:
+            return 1.0
+        if setpoints.__class__ is not tuple or len(setpoints) != self._arms:
+            return -1.0
+        for setpoint in setpoints:
+            if not _is_sound(setpoint):
+                return -1.0
+        return 1.0 if self._has_sound_rest(request) else -1.0
+
+    def judge(self, cycle: Cycle) -> Iterator[Verdict]:
+        """One verdict an unsound arm; one for the cell when the shape is wrong."""
+        setpoints = cycle.request.setpoints
+        if setpoints.__class__ is tuple and setpoints and len(setpoints) == self._arms:
+            for arm, setpoint in enumerate(setpoints):
+                if not _is_sound(setpoint):
+                    yield Verdict(self.id, Action.FAULT, arm, _joint(setpoint))
+            if all(map(_is_sound, setpoints)):
+                yield Verdict(self.id, Action.FAULT)
+        else:
+            yield Verdict(self.id, Action.FAULT)
+
+    def _has_sound_rest(self, request: Request) -> bool:
+        due = request.waypoint_due_s
+        return (
+            isinstance(due, float)
+            and not isnan(due)
+            and len(request.may_open_jaw) in (0, self._arms)
+            and len(request.holding) in (0, self._arms)
+        )
+
+
+def _is_sound(setpoint: Any) -> bool:
+    return (
+        setpoint.__class__ is JointSetpoint
+        and is_sound_vector(setpoint.jp)
+        and is_sound_vector(setpoint.jv)
+        and is_sound_number(setpoint.jaw)
+        and is_sound_number(setpoint.jaw_v)
+    )
+
+
+def _joint(setpoint: object) -> int:
+    """Index of the first bad joint, 6 for the jaw, -1 for the whole setpoint."""
+    if not isinstance(setpoint, JointSetpoint):
+        return -1
+    for vector in (setpoint.jp, setpoint.jv):
+        if not is_sound_vector(vector):
+            return first_unsound(vector)
+    return JAW

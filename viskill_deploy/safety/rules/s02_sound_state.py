@@ -1,0 +1,75 @@
+"""S02: every measurement used is finite, of the right shape, from the right joints and tool."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import ClassVar
+
+from viskill_deploy.core.types import Action, ArmState, Verdict
+from viskill_deploy.safety.cycle import Cycle
+from viskill_deploy.safety.envelope import ArmEnvelope, CellEnvelope
+from viskill_deploy.safety.rule_base import Needs
+from viskill_deploy.safety.soundness import first_unsound, is_sound_number, is_sound_vector
+
+JAW = 6
+
+
+class Rule:
+    """FAULT: with such measurements nothing else can be judged."""
+
+    id: ClassVar[str] = "S02"
+    needs: ClassVar[Needs] = Needs.NOTHING
+
+    def __init__(self, cell: CellEnvelope) -> None:
+        self._arms = cell.arms
+
+    def margin(self, cycle: Cycle) -> float:
+        """1.0 for a state that can be used."""
+        arms = cycle.state.arms
+        if arms.__class__ is not tuple or len(arms) != len(self._arms):
+            return -1.0
+        for arm, envelope in zip(arms, self._arms, strict=True):
+            if not (_is_expected(arm, envelope) and _is_sound(arm)):
+                return -1.0
+        return 1.0
+
+    def judge(self, cycle: Cycle) -> Iterator[Verdict]:
+        """One verdict an unsound arm; one for the cell when their number is wrong."""
+        arms = cycle.state.arms
+        if arms.__class__ is not tuple or len(arms) != len(self._arms):
+            yield Verdict(self.id, Action.FAULT)
+            return
+        for index, (arm, envelope) in enumerate(zip(arms, self._arms, strict=True)):
+            if not _is_expected(arm, envelope):
+                yield Verdict(self.id, Action.FAULT, index)
+            elif not _is_sound(arm):
+                yield Verdict(self.id, Action.FAULT, index, _joint(arm))
+
+
+def _is_expected(arm: ArmState, envelope: ArmEnvelope) -> bool:
+    return (
+        arm.__class__ is ArmState
+        and arm.name == envelope.name
+        and arm.tool == envelope.tool
+        and arm.joint_names == envelope.joint_names
+    )
+
+
+def _is_sound(arm: ArmState) -> bool:
+    return (
+        is_sound_vector(arm.measured_jp)
+        and is_sound_vector(arm.measured_jv)
+        and is_sound_vector(arm.setpoint_jp)
+        and is_sound_number(arm.jaw_measured_jp)
+        and is_sound_number(arm.jaw_measured_jv)
+        and is_sound_number(arm.jaw_setpoint_jp)
+        and is_sound_number(arm.stamp_s)
+    )
+
+
+def _joint(arm: ArmState) -> int:
+    """Index of the first bad joint, 6 for the jaw or the stamp, -1 for a wrong shape."""
+    for vector in (arm.measured_jp, arm.measured_jv, arm.setpoint_jp):
+        if not is_sound_vector(vector):
+            return first_unsound(vector)
+    return JAW

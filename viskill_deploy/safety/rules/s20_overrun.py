@@ -1,0 +1,40 @@
+"""S20: the control loop keeps its period."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from typing import ClassVar
+
+from viskill_deploy.core.types import Action, Verdict
+from viskill_deploy.safety.cycle import Cycle
+from viskill_deploy.safety.envelope import ROUNDING, CellEnvelope
+from viskill_deploy.safety.rule_base import Needs
+
+PERIODS = 3.0
+"""Two missed cycles are jitter of a general operating system; a third is an overrun."""
+TOO_MANY, WITHIN_S = 3, 1.0
+"""Three in a second: the machine is overloaded."""
+
+
+class Rule:
+    """WARN at an overrun, HOLD at the third within a second."""
+
+    id: ClassVar[str] = "S20"
+    needs: ClassVar[Needs] = Needs.NOTHING
+
+    def __init__(self, cell: CellEnvelope) -> None:
+        self._limit = PERIODS * cell.period * (1.0 + ROUNDING) + ROUNDING
+        self._overruns: deque[float] = deque(maxlen=TOO_MANY)
+
+    def margin(self, cycle: Cycle) -> float:
+        """One minus the time since the last cycle as a part of what is allowed."""
+        if cycle.dt > self._limit:
+            self._overruns.append(cycle.now)
+        return 1.0 - cycle.dt / self._limit
+
+    def judge(self, cycle: Cycle) -> Iterator[Verdict]:
+        """The time since the last cycle, s."""
+        recent = [at for at in self._overruns if cycle.now - at <= WITHIN_S]
+        action = Action.HOLD if len(recent) >= TOO_MANY else Action.WARN
+        yield Verdict(self.id, action, value=cycle.dt, limit=self._limit)
