@@ -1,5 +1,7 @@
 """Laws of whole plans: inside every limit, through every waypoint, along the chord, one path."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -74,8 +76,7 @@ def test_random_plans_keep_every_limit_and_meet_every_waypoint(block: int) -> No
 
 def chord_deviation(plan: JointPlan, wanted: np.ndarray, arm: int) -> float:
     worst = 0.0
-    times_met = plan.waypoint_times
-    for i, (begin, end) in enumerate(zip(times_met[:-1], times_met[1:], strict=True)):
+    for i, (begin, end) in enumerate(pairwise(plan.waypoint_times)):
         times = np.linspace(begin, end, 12)
         q = np.array([plan.at(t)[arm].p[:6] for t in times])
         tips = task_poses(CELL, arm, q)[:, :3, 3]

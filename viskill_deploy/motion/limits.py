@@ -38,8 +38,10 @@ class PlanLimits:
         velocity, acceleration, jerk = (
             tuple(fraction * x for x in (*arm.limit(2 + i), jaw_rates[i])) for i in range(3)
         )
+        lower = [x + m for x, m in zip(arm.limit(0), margins, strict=True)]
+        lower[2] = max(lower[2], arm.insertion_min_m + margins[2])
         return cls(
-            lower=(*(x + m for x, m in zip(arm.limit(0), margins, strict=True)), jaw.lower_rad),
+            lower=(*lower, jaw.lower_rad),
             upper=(*(x - m for x, m in zip(arm.limit(1), margins, strict=True)), jaw.upper_rad),
             velocity=velocity,
             acceleration=acceleration,

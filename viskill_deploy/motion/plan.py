@@ -9,6 +9,7 @@ tip keeps its speed. Slowing is a change of clock alone, so the path in space st
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -87,12 +88,8 @@ class JointPlan:
 
     def at(self, t: float) -> tuple[AxisMotion, ...]:
         """State of every arm at plan time `t`, s; at its ends for times outside."""
-        run = self.runs[0]
-        for candidate in self.runs:
-            if candidate.start_s > t + 1e-12:
-                break
-            run = candidate
-        return run.at(t - run.start_s)
+        index = max(bisect_right(self.runs, t + 1e-12, key=lambda run: run.start_s) - 1, 0)
+        return self.runs[index].at(t - self.runs[index].start_s)
 
     def table(self, period_s: float) -> FloatArray:
         """Positions, velocities, accelerations after each control period, (n, arms, 3, 7)."""

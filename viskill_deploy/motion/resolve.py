@@ -33,6 +33,16 @@ def base_poses(cell: CellDescription, arm: int, T_task_tip: FloatArray) -> Float
     return poses
 
 
+def waypoint_at(cell: CellDescription, axes: Sequence[Sequence[float]] | FloatArray) -> Waypoint:
+    """The waypoint at which the arms stand, from axis positions (7,) an arm, jaw last."""
+    rows = np.asarray(axes, dtype=np.float64)
+    return Waypoint(
+        tuple(task_poses(cell, i, rows[i : i + 1, :6])[0] for i in range(len(cell.arms))),
+        tuple(rows[:, 6].tolist()),
+        cell.file.motion.step_s,
+    )
+
+
 def resolve(
     cell: CellDescription, waypoints: Sequence[Waypoint], start: Sequence[Sequence[float]]
 ) -> FloatArray:
@@ -64,8 +74,8 @@ def resolve(
         turned = np.flatnonzero(np.abs(np.diff(q[:, index, 3])) > np.pi)
         if len(turned):
             raise MotionError(
-                f"{arm.name}'s roll reaches its limit at waypoint {int(turned[0])} and would have to "
-                "turn back a whole turn; start with the roll a turn away, or rotate the path"
+                f"{arm.name}'s roll reaches its limit at waypoint {int(turned[0])} and would have "
+                "to turn back a whole turn; start with the roll a turn away, or rotate the path"
             )
     return q
 

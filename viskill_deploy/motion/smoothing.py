@@ -119,6 +119,24 @@ def travel_time(
     return trajectory
 
 
+def passing_velocity(
+    start: Sequence[AxisMotion], target: FloatArray, step_s: float
+) -> list[list[float]]:
+    """Axis velocities wished at a waypoint: displacement over step, jaw at rest; (7,) an arm.
+
+    Args:
+        start: where the arms are.
+        target: axis positions at the waypoint, (arms, 7).
+        step_s: time that the step is meant to take, s.
+    """
+    rows = []
+    for motion, goal in zip(start, target, strict=True):
+        v = ((goal - np.array(motion.p)) / step_s).tolist()
+        v[6] = 0.0
+        rows.append(v)
+    return rows
+
+
 def inside(limits: PlanLimits, trajectory: Any) -> bool:
     """Whether the whole trajectory keeps the position limits, which Ruckig ignores."""
     return all(

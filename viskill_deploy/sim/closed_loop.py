@@ -7,28 +7,14 @@ trained here meets the same steps when it is deployed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from viskill_deploy.core.types import FloatArray, Scene
-from viskill_deploy.motion.resolve import resolve, task_poses
-from viskill_deploy.motion.smoothing import AxisMotion, Segment, SegmentPlanner
-from viskill_deploy.motion.waypoints import apply_action, start_waypoint
+from viskill_deploy.core.types import FloatArray, Scene, Waypoint
+from viskill_deploy.motion.resolve import resolve, task_poses, waypoint_at
+from viskill_deploy.motion.smoothing import AxisMotion, Segment, SegmentPlanner, passing_velocity
+from viskill_deploy.motion.waypoints import apply_action
 from viskill_deploy.sim.tasks.base import SkillSpec, Task
 from viskill_deploy.sim.world import World
-
-
-def passing_velocity(
-    start: Sequence[AxisMotion], target: FloatArray, step_s: float
-) -> list[list[float]]:
-    """Axis velocities wished at a waypoint: displacement over step, jaw at rest; (7,) an arm."""
-    rows = []
-    for motion, goal in zip(start, target, strict=True):
-        v = ((goal - np.array(motion.p)) / step_s).tolist()
-        v[6] = 0.0
-        rows.append(v)
-    return rows
 
 
 class ClosedLoop:
@@ -51,13 +37,23 @@ class ClosedLoop:
         self._motion: tuple[AxisMotion, ...] = tuple(
             AxisMotion.at_rest(row) for row in axes.tolist()
         )
-        self._last = start_waypoint(self.task.cell, self.task.action)
+        self._last = waypoint_at(self.task.cell, axes)
         self.stretch = 1.0
 
-    def reset(self, scene: Scene) -> FloatArray:
-        """A new episode from the cell's start pose; returns the first observation."""
-        self.world.reset(scene)
-        self._rest(self.world.home)
+    @property
+    def waypoint(self) -> Waypoint:
+        """The waypoint commanded last."""
+        return self._last
+
+    def reset(self, scene: Scene, axes: FloatArray | None = None) -> FloatArray:
+        """A new episode; returns the first observation.
+
+        Args:
+            scene: where the objects are.
+            axes: axis positions of the arms, (arms, 7); the cell's start pose by default.
+        """
+        self.world.reset(scene, axes)
+        self._rest(self.world.home if axes is None else axes)
         return self.observe()
 
     def observe(self) -> FloatArray:

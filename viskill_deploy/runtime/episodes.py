@@ -1,0 +1,139 @@
+"""One episode: closed loop, where the policy is asked at every step, or a plan that is streamed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from viskill_deploy.bundle.chain import Choice, SkillChain
+from viskill_deploy.bundle.format import Bundle
+from viskill_deploy.core.errors import DriverError
+from viskill_deploy.core.types import CellState, FloatArray, Scene
+from viskill_deploy.motion.resolve import waypoint_at
+from viskill_deploy.motion.waypoints import apply_action
+from viskill_deploy.runtime.ledger import EpisodeResult
+from viskill_deploy.runtime.planning import Plan, make_plan
+from viskill_deploy.runtime.session import Session
+from viskill_deploy.sim.tasks.base import Task
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What an episode runs: a bundle on its task."""
+
+    bundle: Bundle
+    task: Task
+
+
+def closed_loop(
+    session: Session, job: Job, rng: np.random.Generator, episode: int
+) -> EpisodeResult:
+    """Runs the skills in turn, asking the policy at every step."""
+    task, driver = job.task, session.driver
+    session.begin()
+    result = EpisodeResult(episode)
+    state, scene = driver.state(), _seen(session)
+    observation = _observe(session, task, state, scene)
+    subgoals = task.subgoals(observation, scene, rng)
+    chain = SkillChain(job.bundle, lambda skill, _: subgoals[skill])
+    waypoint = waypoint_at(session.cell, axes_of(state))
+    spec = job.bundle.manifest.action.spec()
+    while not chain.finished:
+        choice = chain.act(observation)
+        _mark(session, result, choice)
+        waypoint = apply_action(
+            waypoint,
+            choice.action,
+            session.tips(state),
+            session.cell,
+            spec,
+            choice.skill,
+            choice.may_open_jaw,
+        )
+        stretch = session.go_to(waypoint, last=chain.finished)
+        if not run_motion(session):
+            session.come_to_rest(result)
+            return result
+        state, scene = driver.state(), _seen(session)
+        observation = _observe(session, task, state, scene)
+        skill = result.skill(choice.skill)
+        skill.steps, skill.stretch_max = choice.step + 1, max(skill.stretch_max, stretch)
+        if driver.capabilities.simulated:
+            touched = driver.active_object().touched
+            reached = task.achieved(choice.skill, observation, touched)
+            skill.success = task.skill_success(reached, choice.subgoal)
+    result.success = _judge(session, task)
+    return result
+
+
+def planned(
+    session: Session, job: Job, rng: np.random.Generator, episode: int, speed: float = 1.0
+) -> EpisodeResult:
+    """Makes the whole plan in a simulator, checks it, and only then streams it."""
+    state, scene = session.driver.state(), _seen(session)
+    plan = make_plan(session.cell, job.task, job.bundle, axes_of(state), scene, rng, speed)
+    plan.check(session.cell, session.driver.period_s, state)
+    session.begin()
+    result = EpisodeResult(episode)
+    session.line.follow(plan.motion)
+    while not session.line.arrived:
+        waypoint = _follow_marks(session, plan, result)
+        session.allow(plan.waypoints[waypoint])
+        if not session.cycle():
+            session.come_to_rest(result)
+            return result
+    for skill in result.skills:
+        skill.stretch_max = plan.motion.stretch
+    result.success = _judge(session, job.task)
+    return result
+
+
+def run_motion(session: Session) -> bool:
+    """Cycles until the motion is over; False when the gate has stepped in."""
+    while True:
+        if not session.cycle():
+            return False
+        if session.line.arrived:
+            return True
+
+
+def axes_of(state: CellState) -> FloatArray:
+    """Axis positions of the setpoints that the driver holds, (arms, 7), jaw last."""
+    return np.array([(*arm.setpoint_jp, arm.jaw_setpoint_jp) for arm in state.arms])
+
+
+def _follow_marks(session: Session, plan: Plan, result: EpisodeResult) -> int:
+    """Index of the waypoint that the plan is on its way to; notes it when it is a new one."""
+    index = plan.index_at(session.line.phase + session.driver.period_s)
+    name = plan.waypoints[index].skill
+    step = index - plan.first_of(name) + 1
+    skill = result.skill(name)
+    if skill.steps != step:
+        skill.steps = step
+        now = session.driver.clock.now()
+        session.recorder.mark(now, result.episode, name, step)
+    return index
+
+
+def _mark(session: Session, result: EpisodeResult, choice: Choice) -> None:
+    now = session.driver.clock.now()
+    session.recorder.mark(now, result.episode, choice.skill, choice.step)
+
+
+def _seen(session: Session) -> Scene:
+    scene = session.driver.scene()
+    if scene is None:
+        raise DriverError("nothing says where the objects are; give a scene")
+    return scene
+
+
+def _observe(session: Session, task: Task, state: CellState, scene: Scene) -> FloatArray:
+    return task.observe(session.tips(state), [arm.jaw_measured_jp for arm in state.arms], scene)
+
+
+def _judge(session: Session, task: Task) -> bool:
+    """Task success by the simulator's truth; False where nobody can tell."""
+    if not session.driver.capabilities.simulated:
+        return False
+    return task.success(session.driver.active_object(), _seen(session))

@@ -1,0 +1,153 @@
+"""What a run adds up: margins, speeds, interventions. Numbers only; `observe` makes sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.types import Action, FloatArray, JointSetpoint, Verdict
+from viskill_deploy.kinematics.arm import Arm
+from viskill_deploy.kinematics.model import forward_batch
+
+WARNINGS_KEPT = 50
+
+
+@dataclass
+class SkillResult:
+    """How one skill of one episode went.
+
+    Attributes:
+        success: whether it reached its subgoal; None where nobody can tell.
+        stretch_max: largest time of a step over the time that the policy meant.
+    """
+
+    name: str
+    steps: int = 0
+    success: bool | None = None
+    stretch_max: float = 1.0
+
+
+@dataclass
+class EpisodeResult:
+    """How one episode went."""
+
+    episode: int
+    success: bool = False
+    stopped_by: str = ""
+    simulated_s: float = 0.0
+    skills: list[SkillResult] = field(default_factory=list)
+
+    def skill(self, name: str) -> SkillResult:
+        """The entry of a skill, made when it begins."""
+        if not self.skills or self.skills[-1].name != name:
+            self.skills.append(SkillResult(name))
+        return self.skills[-1]
+
+
+class Ledger:
+    """Adds up a run.
+
+    Args:
+        cell: the arms in their places.
+        period_s: control period.
+        rules: ids of the gate's rules, in the order of its margins.
+    """
+
+    def __init__(self, cell: CellDescription, period_s: float, rules: Sequence[str]) -> None:
+        self._cell, self._period_s, self._rules = cell, period_s, tuple(rules)
+        self._arms = [Arm(entry.arm) for entry in cell.arms]
+        self._margins = [1.0] * len(self._rules)
+        self._sent: list[tuple[JointSetpoint, ...]] = []
+        self.setpoints = 0
+        self.interventions = 0
+        self.worst = Action.PASS
+        self.verdicts: list[Verdict] = []
+        self._figures = {"rcm": 0.0, "margin": 1.0, "tip": 0.0}
+        self.episodes: list[EpisodeResult] = []
+
+    @property
+    def last_sent(self) -> tuple[JointSetpoint, ...]:
+        """What went out last in this episode."""
+        return self._sent[-1] if self._sent else ()
+
+    def cycle(
+        self,
+        sent: tuple[JointSetpoint, ...],
+        action: Action,
+        verdicts: Sequence[Verdict],
+        margins: Sequence[float],
+    ) -> None:
+        """Adds one control cycle."""
+        self._sent.append(sent)
+        self._margins = [a if a < b else b for a, b in zip(self._margins, margins, strict=True)]
+        self.worst = max(self.worst, action)
+        if verdicts and len(self.verdicts) < WARNINGS_KEPT:
+            self.verdicts.extend(verdicts)
+
+    def end_episode(self, result: EpisodeResult) -> None:
+        """Closes an episode: its setpoints go into the figures."""
+        self.episodes.append(result)
+        self.interventions += 1 if result.stopped_by else 0
+        rows = [row for row in self._sent if row]
+        self.setpoints += len(rows) * len(self._cell.arms)
+        self._sent = []
+        if rows:
+            q = np.array([[s.jp for s in row] for row in rows])
+            for index in range(len(self._cell.arms)):
+                self._add_arm(index, q[:, index])
+
+    def _add_arm(self, index: int, q: FloatArray) -> None:
+        entry = self._cell.arms[index]
+        arm = entry.arm
+        tips = forward_batch(arm, q)[:, :3, 3]
+        speeds = np.linalg.norm(np.diff(tips, axis=0), axis=1) / self._period_s
+        low, high = np.array(arm.limit(0)), np.array(arm.limit(1))
+        room = np.minimum(q - low, high - q) / (high - low)
+        shaft, port = self._arms[index], entry.port_in_base
+        figures = self._figures
+        figures["tip"] = max(figures["tip"], float(speeds.max(initial=0.0)))
+        figures["margin"] = min(figures["margin"], float(room.min()))
+        figures["rcm"] = max(figures["rcm"], *(shaft.rcm_error(row, port) for row in q))
+
+    def summary(self) -> dict[str, Any]:
+        """The run's figures.
+
+        `joint_margin_min` is the smallest distance of any sent joint position to its limit, as a
+        part of that joint's range; `margins` are the gate's, 1 far away and 0 at the threshold.
+        """
+        done = self.episodes
+        return {
+            "episodes": len(done),
+            "success_rate": sum(e.success for e in done) / max(len(done), 1),
+            "interventions": self.interventions,
+            "rcm_error_max_m": self._figures["rcm"],
+            "joint_margin_min": self._figures["margin"],
+            "tip_speed_max_m_s": self._figures["tip"],
+            "setpoints": self.setpoints,
+            "simulated_s": sum(e.simulated_s for e in done),
+            "worst_action": self.worst.name,
+            "margins": dict(zip(self._rules, self._margins, strict=True)),
+            "episode_results": [_episode(e) for e in done],
+        }
+
+
+def _episode(result: EpisodeResult) -> dict[str, Any]:
+    return {
+        "episode": result.episode,
+        "success": result.success,
+        "stopped_by": result.stopped_by,
+        "simulated_s": result.simulated_s,
+        "skills": [
+            {
+                "name": skill.name,
+                "steps": skill.steps,
+                "success": skill.success,
+                "stretch_max": skill.stretch_max,
+            }
+            for skill in result.skills
+        ],
+    }

@@ -1,0 +1,214 @@
+"""The line from a waypoint to a request for the gate: IK, smoothing, and one QP a tick an arm.
+
+A waypoint becomes joint targets (closed form or QP), a jerk-limited segment leads there, and in
+every control period the QP resolves the segment's pose again inside the joint limits and with the
+remote centre at the registered port. While no limit is active the QP returns the segment itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.errors import IkError, MotionError
+from viskill_deploy.core.types import (
+    CellState,
+    FloatArray,
+    Joints,
+    JointSetpoint,
+    Request,
+    Waypoint,
+)
+from viskill_deploy.kinematics.arm import Arm
+from viskill_deploy.kinematics.ik import IkSolver
+from viskill_deploy.kinematics.model import SHAFT_FRAME
+from viskill_deploy.kinematics.port import PortConstraint
+from viskill_deploy.motion.resolve import resolve
+from viskill_deploy.motion.smoothing import AxisMotion, SegmentPlanner, passing_velocity
+
+OFF_REFERENCE = 1e-3
+"""Rad or m. A segment starts from the commanded joints instead of the last segment's end when the
+QP was held back from it by more than this."""
+
+RECOVERY = 0.02
+"""Part by which the time base speeds up again in each period after the gate asked for less."""
+
+SLOWEST = 0.1
+"""Slowest rate of the time base that SCALE requests lead to."""
+
+
+class Motion(Protocol):
+    """Anything that knows where all arms shall be at a time since its start."""
+
+    @property
+    def duration_s(self) -> float:
+        """Its length."""
+        ...
+
+    def at(self, t: float) -> tuple[AxisMotion, ...]:
+        """State of every arm `t` seconds after its start."""
+        ...
+
+
+class Line:
+    """Resolves, smooths and samples the motion of all arms under one time base.
+
+    Args:
+        cell: the arms in their places.
+        period_s: control period.
+        ik_solver: "daqp" or any solver that qpsolvers knows.
+        speed: part of the planned tip speed to use.
+
+    Attributes:
+        rate: speed of the time base, 1.0 unless the gate has asked for less.
+    """
+
+    def __init__(
+        self, cell: CellDescription, period_s: float, ik_solver: str = "daqp", speed: float = 1.0
+    ) -> None:
+        self.cell, self.period_s, self.rate = cell, period_s, 1.0
+        self._planner = SegmentPlanner(cell, period_s, speed)
+        self._arms = [Arm(entry.arm) for entry in cell.arms]
+        self._iks = [
+            IkSolver.for_arm(arm, port=_port(entry.port_in_base), solver=ik_solver)
+            for arm, entry in zip(self._arms, cell.arms, strict=True)
+        ]
+        self._reference: tuple[AxisMotion, ...] = ()
+        self._commanded: list[tuple[Joints, Joints]] = []
+        self._motion: Motion | None = None
+        self._phase = 0.0
+        self._fault = ""
+
+    def start(self, state: CellState) -> None:
+        """Stands still at the setpoints that the driver holds."""
+        self._reference = tuple(
+            AxisMotion.at_rest((*arm.setpoint_jp, arm.jaw_setpoint_jp)) for arm in state.arms
+        )
+        self._commanded = [(m.p[:6], m.v[:6]) for m in self._reference]
+        self._motion, self._phase, self._fault, self.rate = None, 0.0, "", 1.0
+
+    @property
+    def arrived(self) -> bool:
+        """Whether the present motion is over and the next one is due."""
+        if self._fault:
+            return False
+        return self._motion is None or self._phase >= self._motion.duration_s - 1e-6
+
+    def go_to(self, waypoint: Waypoint, last: bool = False) -> float:
+        """Begins the segment to a waypoint; returns its stretch.
+
+        A waypoint that cannot be reached leaves the line without setpoints, which the gate
+        answers with a stop (S16).
+
+        Args:
+            waypoint: where the tips shall be.
+            last: the motion ends at rest there.
+        """
+        start = self._present()
+        try:
+            target = resolve(self.cell, [waypoint], [m.p for m in start])[1]
+            end = (
+                np.zeros_like(target) if last else passing_velocity(start, target, waypoint.step_s)
+            )
+            segment = self._planner.plan(start, target.tolist(), end, waypoint.step_s)
+        except MotionError as error:
+            self._fault = str(error)
+            return 1.0
+        self.follow(segment)
+        return segment.stretch
+
+    @property
+    def phase(self) -> float:
+        """Time of the present motion, s."""
+        return self._phase
+
+    def follow(self, motion: Motion) -> None:
+        """Begins a motion that starts where the line is now."""
+        self._motion, self._phase = motion, 0.0
+
+    def request(
+        self, now: float, waypoint: Waypoint | None = None, holding: tuple[bool, ...] = ()
+    ) -> Request:
+        """What to ask the gate for: the setpoints at the end of the coming period.
+
+        Args:
+            now: driver's clock, s.
+            waypoint: where the line is going; says which jaws may open.
+            holding: per arm, whether its jaw holds something.
+        """
+        if self._fault:
+            return Request(None, failure=self._fault)
+        reference = self._next_reference()
+        try:
+            commanded = [self._resolved(i, motion) for i, motion in enumerate(reference)]
+        except IkError as error:
+            return Request(None, failure=f"{error.cause}: {error}")
+        setpoints = tuple(
+            JointSetpoint(q, self._end_velocity(q, motion), motion.p[6], motion.v[6])
+            for (q, _), motion in zip(commanded, reference, strict=True)
+        )
+        self._commanded, self._reference = commanded, reference
+        due = float("inf")
+        if self._motion is not None and any(any(m.v) for m in reference):
+            due = now + max(self._motion.duration_s - self._phase, 0.0) / self.rate
+        may_open = waypoint.may_open_jaw if waypoint else ()
+        return Request(setpoints, "", due, may_open, holding)
+
+    def advance(self, speed_scale: float) -> None:
+        """Lets the time base run for one period, as fast as the gate agrees to."""
+        self._phase += self.period_s * self.rate
+        if speed_scale < 1.0:
+            self.rate = max(SLOWEST, self.rate * speed_scale)
+        else:
+            self.rate = min(1.0, self.rate + RECOVERY)
+
+    def _next_reference(self) -> tuple[AxisMotion, ...]:
+        if self._motion is None:
+            return self._reference
+        sampled = self._motion.at(self._phase + self.period_s * self.rate)
+        if self.rate == 1.0:
+            return sampled
+        r = self.rate
+        return tuple(
+            AxisMotion(m.p, tuple(r * x for x in m.v), tuple(r * r * x for x in m.a))
+            for m in sampled
+        )
+
+    def _resolved(self, index: int, motion: AxisMotion) -> tuple[Joints, Joints]:
+        """One QP: joints of an arm at the end of the period, and mean velocities over it."""
+        q, v = self._commanded[index]
+        goal = self._arms[index].forward(motion.p[:6])
+        solution = self._iks[index].step(q, v, goal, self.period_s)
+        return solution.q, solution.v
+
+    def _end_velocity(self, q: Joints, motion: AxisMotion) -> Joints:
+        """Velocities at the end of the period, which the servo is fed; the QP knows the mean."""
+        dt = self.period_s
+        return tuple([v + (a - b) / dt for v, a, b in zip(motion.v, q, motion.p, strict=False)])
+
+    def _present(self) -> tuple[AxisMotion, ...]:
+        """Where the next segment starts: the reference, unless the QP was held back from it."""
+        motions = []
+        for motion, (q, v) in zip(self._reference, self._commanded, strict=True):
+            gap = max(abs(a - b) for a, b in zip(motion.p, q, strict=False))
+            if gap > OFF_REFERENCE:
+                rest = (0.0,) * 7
+                motions.append(AxisMotion((*q, motion.p[6]), (*v, motion.v[6]), rest))
+            else:
+                motions.append(motion)
+        return tuple(motions)
+
+
+def _port(port_in_base: FloatArray) -> PortConstraint | None:
+    """The remote-centre rows; none where the port is the mechanical centre and they are 0 = 0."""
+    if not port_in_base.any():
+        return None
+    return PortConstraint(port_in_base, SHAFT_FRAME, np.array([0.0, 0.0, 1.0]))
+
+
+def setpoint_table(setpoints: Sequence[Sequence[JointSetpoint]]) -> FloatArray:
+    """Positions of many cycles' setpoints, (n, arms, 7)."""
+    return np.array([[(*s.jp, s.jaw) for s in row] for row in setpoints])

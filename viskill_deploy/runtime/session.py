@@ -1,0 +1,199 @@
+"""One run on one driver: read, decide, gate, send, record, once in every control period."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Protocol, Self
+
+from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.errors import DriverError, SafetyStop
+from viskill_deploy.core.types import (
+    Action,
+    CellState,
+    FloatArray,
+    JointSetpoint,
+    Mode,
+    Request,
+    Scene,
+    Verdict,
+    Waypoint,
+)
+from viskill_deploy.drivers.base import Driver
+from viskill_deploy.kinematics.arm import Arm
+from viskill_deploy.runtime.ledger import EpisodeResult, Ledger
+from viskill_deploy.runtime.line import Line
+from viskill_deploy.safety.supervisor import Supervisor
+
+HOLDING_RAD = 0.08
+"""A jaw that is told to close and stays open farther than this has something in it."""
+
+READY_PERIODS = 50
+"""Control periods that the arms get to become READY."""
+
+SCENE_PERIOD_S = 0.02
+"""The objects are recorded at 50 Hz."""
+
+STOP_S = 2.0
+"""Time that the gate's own stop gets before the session gives up waiting for rest."""
+
+
+class Recorder(Protocol):
+    """Where every cycle leaves its record (S32); `observe.recording` has the real one."""
+
+    @property
+    def alive(self) -> bool:
+        """Whether the record is being kept."""
+        ...
+
+    def cycle(
+        self,
+        now: float,
+        state: CellState,
+        request: Request,
+        sent: Sequence[JointSetpoint],
+        action: Action,
+        verdicts: Sequence[Verdict],
+        mode: Mode,
+        tip_poses: Sequence[FloatArray] | None,
+    ) -> None:
+        """Records one control cycle."""
+        ...
+
+    def scene(self, now: float, scene: Scene) -> None:
+        """Records the objects."""
+        ...
+
+    def mark(self, now: float, episode: int, skill: str, step: int, note: str = "") -> None:
+        """Records where in the run this is."""
+        ...
+
+
+class Session:
+    """Drives a cell through the gate.
+
+    Args:
+        cell: the arms in their places.
+        driver: a connected driver.
+        line: from waypoints to requests.
+        recorder: where the run is recorded.
+    """
+
+    def __init__(
+        self, cell: CellDescription, driver: Driver, line: Line, recorder: Recorder
+    ) -> None:
+        self.cell, self.driver, self.line, self.recorder = cell, driver, line, recorder
+        self.gate = Supervisor(cell, driver.period_s)
+        self.ledger = Ledger(cell, driver.period_s, self.gate.rules)
+        self._arms = [Arm(entry.arm) for entry in cell.arms]
+        self._scene_due_s = 0.0
+        self.overruns = 0
+        self._deadline = 0.0
+        self._waypoint: Waypoint | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.driver.close()
+
+    def begin(self) -> None:
+        """Enables and homes the arms, gets the operator's consent, and arms a fresh gate.
+
+        Raises:
+            SafetyStop: the gate refuses; names the rules.
+        """
+        self.gate = Supervisor(self.cell, self.driver.period_s)
+        self.driver.enable()
+        self.driver.home()
+        if self.driver.capabilities.simulated:
+            self.driver.say(consent=False)
+        self._deadline = self.driver.clock.now()
+        for _ in range(READY_PERIODS):
+            self._wait_for_next_period()
+            if self.gate.connect(self.driver.state()) is Mode.READY:
+                break
+        if self.driver.capabilities.simulated:
+            self.driver.say(consent=True)
+        state = self.driver.state()
+        against = self.gate.arm(state, self.driver.clock.now())
+        if against:
+            reasons = ", ".join(f"{v.rule} ({v.value:.4g}, limit {v.limit:.4g})" for v in against)
+            raise SafetyStop(f"the gate refuses to arm: {reasons}; put that right and start again")
+        self.line.start(state)
+        self._waypoint = None
+
+    def go_to(self, waypoint: Waypoint, last: bool = False) -> float:
+        """Begins the motion to a waypoint; returns its stretch."""
+        self._waypoint = waypoint
+        return self.line.go_to(waypoint, last)
+
+    def allow(self, waypoint: Waypoint | None) -> None:
+        """Says which waypoint a motion that goes on by itself is at, for the jaw rule."""
+        self._waypoint = waypoint
+
+    def cycle(self) -> bool:
+        """One control period. True while the gate passes what the line asks for."""
+        now = self.driver.clock.now()
+        state = self.driver.state()
+        request = self.line.request(now, self._waypoint, self._holding(state))
+        if not self.recorder.alive:
+            self.gate.report_fault("S32", now)
+        decision = self.gate.check(state, request, now)
+        sent = tuple(checked.setpoint for checked in decision.setpoints)
+        try:
+            self.driver.servo_jp(decision.setpoints)
+        except DriverError:
+            self.gate.report_fault("S24", now)
+        mode, verdicts, tips = decision.mode, decision.verdicts, self.tips(state)
+        self.recorder.cycle(now, state, request, sent, decision.action, verdicts, mode, tips)
+        self._record_scene(now)
+        self.ledger.cycle(sent, decision.action, decision.verdicts, decision.margins)
+        self.line.advance(decision.speed_scale)
+        self._wait_for_next_period()
+        return decision.passed
+
+    def come_to_rest(self, result: EpisodeResult) -> None:
+        """After the gate has stepped in: lets its stop run out, and notes the cause."""
+        causes = [v.rule for v in self.ledger.verdicts if v.action >= Action.HOLD]
+        result.stopped_by = causes[0] if causes else "gate"
+        deadline = self.driver.clock.now() + STOP_S
+        while self.driver.clock.now() < deadline and not self._at_rest():
+            self.cycle()
+
+    def tips(self, state: CellState) -> list[FloatArray]:
+        """Measured T_task_tip of every arm."""
+        return [
+            entry.T_task_base @ arm.forward(seen.measured_jp).homogeneous
+            for entry, arm, seen in zip(self.cell.arms, self._arms, state.arms, strict=True)
+        ]
+
+    def _at_rest(self) -> bool:
+        sent = self.ledger.last_sent
+        return bool(sent) and not any(any(s.jv) or s.jaw_v for s in sent)
+
+    def _holding(self, state: CellState) -> tuple[bool, ...]:
+        """Per arm, whether its jaw is told to close and something keeps it open."""
+        return tuple(
+            [arm.jaw_measured_jp > HOLDING_RAD > arm.jaw_setpoint_jp for arm in state.arms]
+        )
+
+    def _record_scene(self, now: float) -> None:
+        if self.driver.capabilities.sees_scene and now >= self._scene_due_s - 1e-9:
+            self._scene_due_s = now + SCENE_PERIOD_S
+            scene = self.driver.scene()
+            if scene is not None:
+                self.recorder.scene(now, scene)
+
+    def _wait_for_next_period(self) -> None:
+        self._deadline += self.driver.period_s
+        woke = self.driver.clock.sleep_until(self._deadline)
+        late = woke - self._deadline
+        if late > self.driver.period_s:  # a missed period is not made up for by a burst
+            self.overruns += 1
+            self._deadline = woke
