@@ -18,21 +18,8 @@ Point = tuple[float, float, float]
 Row = tuple[float, float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class Link:
-    """One row of the chain.
-
-    Attributes:
-        slides: the joint is prismatic.
-        theta, d: value at zero joint position, offset included, rad and m.
-    """
-
-    slides: bool
-    cos_alpha: float
-    sin_alpha: float
-    a: float
-    theta: float
-    d: float
+Link = tuple[bool, float, float, float, float, float]
+"""Whether the joint slides, cos and sin of alpha, a, theta and d at zero joint position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,13 +42,13 @@ class Chain:
         """The chain of one arm of a cell."""
         arm = cell_arm.arm
         links = tuple(
-            Link(
-                slides=joint.type == "prismatic",
-                cos_alpha=cos(joint.alpha_rad),
-                sin_alpha=sin(joint.alpha_rad),
-                a=joint.a_m,
-                theta=joint.theta_rad + (joint.offset if joint.type == "revolute" else 0.0),
-                d=joint.d_m + (joint.offset if joint.type == "prismatic" else 0.0),
+            (
+                joint.type == "prismatic",
+                cos(joint.alpha_rad),
+                sin(joint.alpha_rad),
+                joint.a_m,
+                joint.theta_rad + (joint.offset if joint.type == "revolute" else 0.0),
+                joint.d_m + (joint.offset if joint.type == "prismatic" else 0.0),
             )
             for joint in reversed(arm.joints)
         )
@@ -96,17 +83,11 @@ class Chain:
         """Two points of the last joint's frame, seen from the base."""
         x, y, z = first
         u, v, w = second
-        i = len(self.links)
-        for link in self.links:
-            i -= 1
-            if link.slides:
-                d, theta = link.d + q[i], link.theta
-            else:
-                d, theta = link.d, link.theta + q[i]
-            c, s, a = cos(theta), sin(theta), link.a
-            ca, sa = link.cos_alpha, link.sin_alpha
-            z += d
-            w += d
+        for (slides, ca, sa, a, theta, d), position in zip(self.links, q[5::-1], strict=True):
+            angle, rise = (theta, d + position) if slides else (theta + position, d)
+            c, s = cos(angle), sin(angle)
+            z += rise
+            w += rise
             x, y = c * x - s * y + a, s * x + c * y
             u, v = c * u - s * v + a, s * u + c * v
             y, z = ca * y - sa * z, sa * y + ca * z

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from math import ceil, sqrt
-from operator import mul
+from math import ceil, dist
+from operator import mul, sub
 
 from viskill_deploy.core.types import Joints, JointSetpoint
 from viskill_deploy.safety.envelope import ROUNDING, ArmEnvelope
@@ -27,26 +27,30 @@ class ArmTrack:
         envelope: what it may do.
         sent: the last setpoint that went out; `recent` holds those that its driver may still
             report, newest last.
-        q, v, a: positions, speeds, accelerations of what was sent, (7,) with the jaw last.
+        q: positions of what was sent, (7,) with the jaw last.
+        step, bend: first and second difference of `q` over the last periods: speed times period,
+            acceleration times period squared.
         point, jaw_end: control point and jaw end at `q`, task frame, m.
         asked, asked_q, …: the same for what is asked in this cycle.
         speed, acceleration: what is asked as a part of the limit, (7,), never negative.
+        fastest, sharpest: largest speed of the six joints, largest acceleration of all seven.
         point_speed: speed of the control point, m/s.
     """
 
     __slots__ = (
-        "_inverse_acceleration",
-        "_inverse_speed",
+        "_per_full_bend",
+        "_per_full_step",
         "_rate",
-        "a",
         "acceleration",
         "asked",
-        "asked_a",
+        "asked_bend",
         "asked_jaw_end",
         "asked_point",
         "asked_q",
-        "asked_v",
+        "asked_step",
+        "bend",
         "envelope",
+        "fastest",
         "index",
         "jaw_end",
         "point",
@@ -54,15 +58,20 @@ class ArmTrack:
         "q",
         "recent",
         "sent",
+        "sharpest",
         "speed",
-        "v",
+        "step",
     )
+
+    speed: list[float]
+    acceleration: list[float]
 
     def __init__(self, index: int, envelope: ArmEnvelope, period: float) -> None:
         self.index, self.envelope = index, envelope
         self._rate = 1.0 / period
-        self._inverse_speed = [(1.0 - ROUNDING) / x for x in envelope.max_speed]
-        self._inverse_acceleration = [(1.0 - ROUNDING) / x for x in envelope.max_acceleration]
+        unit, unit_2 = (1.0 - ROUNDING) / period, (1.0 - ROUNDING) / period**2
+        self._per_full_step = [unit / x for x in envelope.max_speed]
+        self._per_full_bend = [unit_2 / x for x in envelope.max_acceleration]
         latency = 2.0 * max(period, envelope.feedback_period)
         self.recent: deque[JointSetpoint] = deque(maxlen=1 + ceil(latency / period))
         self.begin(NO_SETPOINT)
@@ -70,8 +79,8 @@ class ArmTrack:
     def begin(self, setpoint: JointSetpoint) -> None:
         """Starts a record at rest, at what the driver holds."""
         self.q = self.asked_q = (*setpoint.jp, setpoint.jaw)
-        self.v: list[float] = list(NO_JOINTS)
-        self.a: list[float] = list(NO_JOINTS)
+        self.step: list[float] = list(NO_JOINTS)
+        self.bend: list[float] = list(NO_JOINTS)
         self.point, self.jaw_end = self.envelope.chain.points(self.q)
         self.sent = setpoint
         self.recent.clear()
@@ -80,35 +89,34 @@ class ArmTrack:
 
     def ask(self, setpoint: JointSetpoint) -> None:
         """Works out once what the rules need to know about a sound setpoint."""
-        rate = self._rate
         self.asked = setpoint
         q = self.asked_q = (*setpoint.jp, setpoint.jaw)
-        v = self.asked_v = [(new - old) * rate for new, old in zip(q, self.q, strict=True)]
-        a = self.asked_a = [(new - old) * rate for new, old in zip(v, self.v, strict=True)]
-        self.speed: list[float] = list(map(mul, map(abs, v), self._inverse_speed))
-        self.acceleration: list[float] = list(map(mul, map(abs, a), self._inverse_acceleration))
-        point, self.asked_jaw_end = self.envelope.chain.points(q)
-        x, y, z = self.point
-        u, v_, w = point
-        self.asked_point = point
-        self.point_speed = rate * sqrt((u - x) ** 2 + (v_ - y) ** 2 + (w - z) ** 2)
+        step = self.asked_step = list(map(sub, q, self.q))
+        bend = self.asked_bend = list(map(sub, step, self.step))
+        self.speed = list(map(mul, map(abs, step), self._per_full_step))
+        self.acceleration = list(map(mul, map(abs, bend), self._per_full_bend))
+        self.fastest = max(self.speed[:6])
+        self.sharpest = max(self.acceleration)
+        self.asked_point, self.asked_jaw_end = self.envelope.chain.points(q)
+        self.point_speed = dist(self.asked_point, self.point) * self._rate
 
     def accept(self) -> None:
         """What was asked has gone out."""
         self.sent = self.asked
-        self.q, self.v, self.a = self.asked_q, self.asked_v, self.asked_a
+        self.q, self.step, self.bend = self.asked_q, self.asked_step, self.asked_bend
         self.point, self.jaw_end = self.asked_point, self.asked_jaw_end
         self.recent.append(self.asked)
 
-    def motions(self) -> list[Motion]:
-        """Position, speed and acceleration at the last setpoint sent, joint by joint.
+    def asked_motion(self, joint: int) -> Motion:
+        """Position, speed and acceleration of one joint at the setpoint that is asked."""
+        return self._motion(self.asked_q[joint], self.asked_step[joint], self.asked_bend[joint])
 
-        A difference is the speed half a period ago; constant acceleration carries it to now.
-        """
-        half = 0.5 / self._rate
-        return [(q, v + a * half, a) for q, v, a in zip(self.q, self.v, self.a, strict=True)]
+    def _motion(self, q: float, step: float, bend: float) -> Motion:
+        """A difference is the speed half a period ago; constant acceleration carries it to now."""
+        return q, (step + 0.5 * bend) * self._rate, bend * self._rate * self._rate
 
     def stop(self) -> ArmStop:
         """The gate's own stop from the last setpoint sent."""
         envelope = self.envelope
-        return ArmStop(self.motions(), envelope.max_acceleration, envelope.max_jerk)
+        motions = map(self._motion, self.q, self.step, self.bend)
+        return ArmStop(motions, envelope.max_acceleration, envelope.max_jerk)

@@ -10,9 +10,7 @@ from viskill_deploy.core.types import Action, JointSetpoint, Request, Verdict
 from viskill_deploy.safety.cycle import Cycle
 from viskill_deploy.safety.envelope import CellEnvelope
 from viskill_deploy.safety.rule_base import Needs
-from viskill_deploy.safety.soundness import first_unsound, is_sound_number, is_sound_vector
-
-JAW = 6
+from viskill_deploy.safety.soundness import are_sound, first_unsound, is_vector
 
 
 class Rule:
@@ -62,18 +60,17 @@ class Rule:
 def _is_sound(setpoint: Any) -> bool:
     return (
         setpoint.__class__ is JointSetpoint
-        and is_sound_vector(setpoint.jp)
-        and is_sound_vector(setpoint.jv)
-        and is_sound_number(setpoint.jaw)
-        and is_sound_number(setpoint.jaw_v)
+        and is_vector(setpoint.jp)
+        and is_vector(setpoint.jv)
+        and are_sound((*setpoint.jp, *setpoint.jv, setpoint.jaw, setpoint.jaw_v))
     )
 
 
-def _joint(setpoint: object) -> int:
+def _joint(setpoint: Any) -> int:
     """Index of the first bad joint, 6 for the jaw, -1 for the whole setpoint."""
-    if not isinstance(setpoint, JointSetpoint):
+    if setpoint.__class__ is not JointSetpoint:
         return -1
-    for vector in (setpoint.jp, setpoint.jv):
-        if not is_sound_vector(vector):
-            return first_unsound(vector)
-    return JAW
+    if not (is_vector(setpoint.jp) and is_vector(setpoint.jv)):
+        return -1
+    joints = (*setpoint.jp, setpoint.jaw), (*setpoint.jv, setpoint.jaw_v)
+    return min(*map(first_unsound, joints), 6)

@@ -9,9 +9,7 @@ from viskill_deploy.core.types import Action, ArmState, Verdict
 from viskill_deploy.safety.cycle import Cycle
 from viskill_deploy.safety.envelope import ArmEnvelope, CellEnvelope
 from viskill_deploy.safety.rule_base import Needs
-from viskill_deploy.safety.soundness import first_unsound, is_sound_number, is_sound_vector
-
-JAW = 6
+from viskill_deploy.safety.soundness import are_sound, first_unsound, is_vector
 
 
 class Rule:
@@ -56,20 +54,25 @@ def _is_expected(arm: ArmState, envelope: ArmEnvelope) -> bool:
 
 
 def _is_sound(arm: ArmState) -> bool:
-    return (
-        is_sound_vector(arm.measured_jp)
-        and is_sound_vector(arm.measured_jv)
-        and is_sound_vector(arm.setpoint_jp)
-        and is_sound_number(arm.jaw_measured_jp)
-        and is_sound_number(arm.jaw_measured_jv)
-        and is_sound_number(arm.jaw_setpoint_jp)
-        and is_sound_number(arm.stamp_s)
+    return _has_shape(arm) and are_sound(
+        (
+            *arm.measured_jp,
+            *arm.measured_jv,
+            *arm.setpoint_jp,
+            arm.jaw_measured_jp,
+            arm.jaw_measured_jv,
+            arm.jaw_setpoint_jp,
+            arm.stamp_s,
+        )
     )
+
+
+def _has_shape(arm: ArmState) -> bool:
+    return is_vector(arm.measured_jp) and is_vector(arm.measured_jv) and is_vector(arm.setpoint_jp)
 
 
 def _joint(arm: ArmState) -> int:
     """Index of the first bad joint, 6 for the jaw or the stamp, -1 for a wrong shape."""
-    for vector in (arm.measured_jp, arm.measured_jv, arm.setpoint_jp):
-        if not is_sound_vector(vector):
-            return first_unsound(vector)
-    return JAW
+    if not _has_shape(arm):
+        return -1
+    return min(map(first_unsound, (arm.measured_jp, arm.measured_jv, arm.setpoint_jp)))

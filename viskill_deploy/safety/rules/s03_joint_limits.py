@@ -7,93 +7,96 @@ from typing import ClassVar
 
 from viskill_deploy.core.types import Action, Verdict
 from viskill_deploy.safety.cycle import Cycle
-from viskill_deploy.safety.envelope import CellEnvelope
+from viskill_deploy.safety.envelope import ArmEnvelope, CellEnvelope
+from viskill_deploy.safety.ranges import Ranges
 from viskill_deploy.safety.rule_base import Needs
 from viskill_deploy.safety.stopping import JointStop
 from viskill_deploy.safety.track import ArmTrack
 
 
-class _Limits:
-    """One joint: limits less margin, hard limits, and what bounds its way to rest."""
-
-    __slots__ = ("acceleration", "hard", "inner", "jerk", "quadratic", "steady", "unjerk")
-
-    def __init__(
-        self, lower: float, upper: float, margin: float, acceleration: float, jerk: float
-    ) -> None:
-        self.inner = (lower + margin, upper - margin)
-        self.hard = (lower, upper)
-        self.acceleration, self.jerk = acceleration, jerk
-        self.unjerk = 1.0 / jerk
-        self.quadratic = 0.5 / acceleration
-        self.steady = 0.5 * acceleration / jerk
-
-
 class Rule:
     """HOLD on the way out; coming back in, or staying, passes.
 
-    A setpoint passes only if the gate could still stop before the hard limit: a margin of 1 mm
-    would be crossed in one 5 ms at full insertion speed. A plan that itself comes to rest inside
-    the limits with less acceleration and jerk than the gate's stop never meets this.
+    A setpoint passes only if the gate could still stop before the hard limit: the margin alone
+    would be crossed within 5 ms at full insertion speed. A plan that itself comes to rest inside
+    the limits, with less acceleration and jerk than the gate's stop has, never meets this.
     """
 
     id: ClassVar[str] = "S03"
     needs: ClassVar[Needs] = Needs.REQUEST
 
     def __init__(self, cell: CellEnvelope) -> None:
-        self._half_period = 0.5 * cell.period
-        self._arms = tuple(
-            tuple(
-                map(
-                    _Limits,
-                    arm.lower[:6],
-                    arm.upper[:6],
-                    arm.margin,
-                    arm.max_acceleration[:6],
-                    arm.max_jerk[:6],
-                )
+        self._arms = cell.arms
+        self._inner = tuple(
+            Ranges(
+                [low + margin for low, margin in zip(arm.lower, arm.margin, strict=False)],
+                [high - margin for high, margin in zip(arm.upper, arm.margin, strict=False)],
             )
             for arm in cell.arms
         )
-        self._scale = tuple(
-            tuple(2.0 / (limits.inner[1] - limits.inner[0]) for limits in arm) for arm in self._arms
-        )
+        self._reaches = tuple(_Reach(arm, cell.period) for arm in cell.arms)
 
     def margin(self, cycle: Cycle) -> float:
         """Distance to the nearest limit less margin, as a part of half the range."""
-        gaps, half = [1.0], self._half_period
-        for track, arm, scales in zip(cycle.tracks, self._arms, self._scale, strict=True):
-            motion = zip(track.asked_q, track.asked_v, track.asked_a, arm, scales, strict=False)
-            for index, (q, v, a, joint, scale) in enumerate(motion):
-                low, high = joint.inner
-                gap = q - low if q - low < high - q else high - q
-                # No stop is longer than this, a reversal included (see docs/safety.md).
-                jolt = abs(a) * joint.unjerk
-                fastest = abs(v + a * half) + 0.5 * jolt * abs(a)
-                reach = fastest * (jolt + fastest * joint.quadratic + joint.steady)
-                if gap < reach and self._is_leaving(track, index):
-                    return -1.0
-                gaps.append(gap * scale)
-        return max(min(gaps), 0.0)
+        parts = []
+        for track, inner, reach in zip(cycle.tracks, self._inner, self._reaches, strict=True):
+            part = inner.farthest(track.asked_q)
+            parts.append(part)
+            is_near = part + reach.at_most(track.fastest, track.sharpest) > 1.0
+            if is_near and any(self._is_leaving(track, joint) for joint in range(6)):
+                return -1.0
+        return max(1.0 - max(parts), 0.0)
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """One verdict a joint that leaves its limits."""
-        for track, arm in zip(cycle.tracks, self._arms, strict=True):
-            for index, joint in enumerate(arm):
-                if self._is_leaving(track, index):
-                    q = track.asked_q[index]
-                    low, high = joint.inner
-                    limit = low if q - low < high - q else high
-                    yield Verdict(self.id, Action.HOLD, track.index, index, q, limit)
+        for track, inner in zip(cycle.tracks, self._inner, strict=True):
+            for joint in range(6):
+                if self._is_leaving(track, joint):
+                    q = track.asked_q[joint]
+                    limit = inner.nearest(joint, q)
+                    yield Verdict(self.id, Action.HOLD, track.index, joint, q, limit)
 
-    def _is_leaving(self, track: ArmTrack, index: int) -> bool:
+    def _is_leaving(self, track: ArmTrack, joint: int) -> bool:
         """Outside and not coming back, or moving such that a stop would end outside."""
-        joint = self._arms[track.index][index]
-        q, v, a = track.asked_q[index], track.asked_v[index], track.asked_a[index]
-        low, high = joint.inner
-        if (q < low and v < 0.0) or (q > high and v > 0.0):
+        arm, inner = self._arms[track.index], self._inner[track.index]
+        q, v, a = track.asked_motion(joint)
+        step = track.asked_step[joint]
+        if (inner.is_below(joint, q) and step < 0.0) or (inner.is_above(joint, q) and step > 0.0):
             return True
-        stop = JointStop(q, v + a * self._half_period, a, joint.acceleration, joint.jerk)
-        first, last = stop.extent()
-        hard_low, hard_high = joint.hard
-        return first < min(hard_low, q) or last > max(hard_high, q)
+        first, last = JointStop(q, v, a, arm.max_acceleration[joint], arm.max_jerk[joint]).extent()
+        return first < min(arm.lower[joint], q) or last > max(arm.upper[joint], q)
+
+
+class _Reach:
+    """How far, as a part of half its range, any joint of an arm can travel while it stops.
+
+    With w = |v| + a^2 / 2J, no stop from speed v and acceleration a is longer than
+    w (|a| / J + w / 2A + A / 2J), a reversal included: |a| / J passes at no more than w, and the
+    rest is the way from speed w, where the trapezoid bounds the triangle. Every coefficient is the
+    largest of all joints, so this only says when a closer look is needed.
+    """
+
+    __slots__ = ("_brake", "_lag", "_ramp", "_rise", "_shift")
+
+    def __init__(self, arm: ArmEnvelope, period: float) -> None:
+        rows = list(
+            zip(
+                arm.max_speed[:6],
+                arm.max_acceleration,
+                arm.max_jerk,
+                arm.lower,
+                arm.upper,
+                strict=False,
+            )
+        )
+        self._shift = max(0.5 * period * a / v for v, a, _, _, _ in rows)
+        self._rise = max(0.5 * a * a / (j * v) for v, a, j, _, _ in rows)
+        self._lag = max(a / j for _, a, j, _, _ in rows)
+        self._brake = max(0.5 * v / a for v, a, _, _, _ in rows)
+        # Twice, because half the range here is before the margin is taken off.
+        self._ramp = max(4.0 * v / (high - low) for v, _, _, low, high in rows)
+
+    def at_most(self, speed: float, acceleration: float) -> float:
+        """The bound for speeds and accelerations up to these parts of their limits."""
+        w = speed + acceleration * (self._shift + acceleration * self._rise)
+        return w * self._ramp * (self._lag * (acceleration + 0.5) + w * self._brake)

@@ -7,7 +7,8 @@ from typing import ClassVar
 
 from viskill_deploy.core.types import Action, Verdict
 from viskill_deploy.safety.cycle import Cycle
-from viskill_deploy.safety.envelope import ROUNDING, CellEnvelope
+from viskill_deploy.safety.envelope import CellEnvelope
+from viskill_deploy.safety.ranges import Ranges
 from viskill_deploy.safety.rule_base import Needs
 
 
@@ -19,28 +20,23 @@ class Rule:
 
     def __init__(self, cell: CellEnvelope) -> None:
         self._arms = tuple(
-            tuple(
-                (0.5 * (low + high), (1.0 - ROUNDING) / (0.5 * (high - low) + arm.measured_slack))
-                for low, high in zip(arm.lower[:6], arm.upper[:6], strict=True)
+            Ranges(
+                [low - arm.measured_slack for low in arm.lower[:6]],
+                [high + arm.measured_slack for high in arm.upper[:6]],
             )
             for arm in cell.arms
         )
 
     def margin(self, cycle: Cycle) -> float:
         """Distance to the nearest limit, as a part of half the range."""
-        parts = [
-            abs(q - middle) * inverse
-            for arm, limits in zip(cycle.state.arms, self._arms, strict=True)
-            for q, (middle, inverse) in zip(arm.measured_jp, limits, strict=True)
-        ]
-        return 1.0 - max(parts)
+        arms = zip(cycle.state.arms, self._arms, strict=True)
+        return 1.0 - max([ranges.farthest(arm.measured_jp) for arm, ranges in arms])
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """One verdict a joint outside."""
-        for index, (arm, limits) in enumerate(zip(cycle.state.arms, self._arms, strict=True)):
-            for joint, (q, (middle, inverse)) in enumerate(
-                zip(arm.measured_jp, limits, strict=True)
-            ):
-                if abs(q - middle) * inverse > 1.0:
-                    limit = middle + (1.0 if q > middle else -1.0) / inverse
+        for index, (arm, ranges) in enumerate(zip(cycle.state.arms, self._arms, strict=True)):
+            for joint, part in enumerate(ranges.parts(arm.measured_jp)):
+                if part > 1.0:
+                    q = arm.measured_jp[joint]
+                    limit = ranges.nearest(joint, q)
                     yield Verdict(self.id, Action.FAULT, index, joint, q, limit)

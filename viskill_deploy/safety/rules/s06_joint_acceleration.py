@@ -23,10 +23,10 @@ class Rule:
 
     def margin(self, cycle: Cycle) -> float:
         """One minus the largest acceleration as a part of its limit."""
-        return 1.0 - max([max(track.acceleration) for track in cycle.tracks])
+        return 1.0 - max([track.sharpest for track in cycle.tracks])
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """One verdict a joint over its limit."""
         for track, limits in zip(cycle.tracks, self._limits, strict=True):
-            for joint, (a, limit) in enumerate(zip(track.asked_a, limits, strict=True)):
-                yield from scale_or_hold(self.id, track.index, joint, abs(a), limit)
+            for joint, (part, limit) in enumerate(zip(track.acceleration, limits, strict=True)):
+                yield from scale_or_hold(self.id, track.index, joint, part * limit, limit)

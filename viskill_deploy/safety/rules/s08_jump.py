@@ -34,5 +34,5 @@ class Rule:
         for track, limits in zip(cycle.tracks, self._limits, strict=True):
             for joint, part in enumerate(track.speed):
                 if part > JUMP:
-                    jump = abs(track.asked_q[joint] - track.q[joint])
+                    jump = abs(track.asked_step[joint])
                     yield Verdict(self.id, Action.HOLD, track.index, joint, jump, limits[joint])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import inf
+from operator import sub, truediv
 from typing import ClassVar
 
 from viskill_deploy.core.types import Action, ArmState, JointSetpoint, Verdict
@@ -11,9 +13,11 @@ from viskill_deploy.safety.envelope import CellEnvelope
 from viskill_deploy.safety.rule_base import Needs
 from viskill_deploy.safety.track import ArmTrack
 
-TOLERANCE = (0.005, 0.005, 0.0005, 0.005, 0.005, 0.005, 0.02)
+TOLERANCE = (0.005, 0.005, 0.0005, 0.005, 0.005, 0.005)
 """rad, m. A driver that goes through actuators and back loses far less; a person's hand on another
-console moves more within a few cycles. The last entry is the jaw's."""
+console moves more within a few cycles."""
+JAW_TOLERANCE = 0.02
+"""rad"""
 
 
 class Rule:
@@ -43,17 +47,20 @@ class Rule:
 
 
 def _nearest(arm: ArmState, track: ArmTrack) -> float:
-    """Distance to the nearest of the recent setpoints; 0 when one is met.
+    """Distance to a recent setpoint that is met, or else to the nearest of them.
 
     The jaw may lag by another number of cycles than the arm: it has its own topic.
     """
-    joints = min(_distance(arm, sent) for sent in track.recent)
-    jaw = min(abs(arm.jaw_setpoint_jp - sent.jaw) for sent in track.recent)
-    return max(joints, jaw / TOLERANCE[6])
+    joints = jaw = inf
+    for sent in reversed(track.recent):
+        if joints > 1.0:
+            joints = min(joints, _distance(arm, sent))
+        if jaw > 1.0:
+            jaw = min(jaw, abs(arm.jaw_setpoint_jp - sent.jaw) / JAW_TOLERANCE)
+    return max(joints, jaw)
 
 
 def _distance(arm: ArmState, sent: JointSetpoint) -> float:
-    return max(
-        abs(held - ours) / tolerance
-        for held, ours, tolerance in zip(arm.setpoint_jp, sent.jp, TOLERANCE[:6], strict=True)
-    )
+    distances = map(abs, map(sub, arm.setpoint_jp, sent.jp))
+    parts: list[float] = list(map(truediv, distances, TOLERANCE))
+    return max(parts)

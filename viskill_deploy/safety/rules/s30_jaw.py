@@ -47,7 +47,7 @@ class Rule:
         """One verdict for each thing that is wrong with a jaw."""
         for arm, track in enumerate(cycle.tracks):
             jaw, limit = track.asked.jaw, self._speed[arm]
-            speed = max(abs(track.asked_v[JAW]), abs(track.asked.jaw_v))
+            speed = max(track.speed[JAW] * limit, abs(track.asked.jaw_v))
             opening = self._opening(cycle, arm)
             if speed * (1.0 - ROUNDING) > limit:
                 yield Verdict(self.id, Action.HOLD, arm, JAW, speed, limit)
