@@ -4,29 +4,25 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
 from viskill_deploy.core.description import ArmDescription
-from viskill_deploy.core.errors import KinematicsError, NoSolutionError
+from viskill_deploy.core.errors import IkError, KinematicsError, NoSolutionError
 from viskill_deploy.core.types import FloatArray, Joints, frozen_array
 from viskill_deploy.kinematics import closed_form
 from viskill_deploy.kinematics.dvrk_json import describe_arm
 from viskill_deploy.kinematics.model import (
-    ORTHONORMAL_TOLERANCE,
     ROLL,
     SHAFT_FRAME,
     TIP_FRAME,
     build_model,
-    checked_poses,
     forward_batch,
 )
-
-Pose: TypeAlias = pin.SE3 | npt.ArrayLike
-"""A pose as a Pinocchio SE3 or as a 4x4 array."""
+from viskill_deploy.kinematics.pose import Pose, checked_poses, split
 
 
 def load_arm(name: str | Path, tool: str | Path = "large_needle_driver_400006") -> Arm:
@@ -97,7 +93,7 @@ class Arm:
             NoSolutionError: out of reach; names the joint and by how much.
             KinematicsError: no rigid pose, or a seed that is not six finite numbers.
         """
-        rotation, p = _split(T_base_tip)
+        rotation, p = split(T_base_tip)
         seed_roll = float(_joints(q_seed)[ROLL])
         # Frame 6 = tip turned back: column k of R tip_rotation^T is R times row k.
         (ax, ay, az), (bx, by, bz) = self._to_frame6
@@ -179,31 +175,8 @@ def _joints(q: Any) -> FloatArray:
     if joints.shape != (6,):
         raise KinematicsError(f"joints have shape {joints.shape}; give six numbers")
     if not math.isfinite(sum(joints.tolist())):
-        raise KinematicsError(f"joints {joints.tolist()} are not all finite; check their source")
+        raise IkError("not-finite", f"joints {joints.tolist()} are not all finite; check them")
     return joints
-
-
-def _split(pose: Pose) -> tuple[list[list[float]], Joints]:
-    """Rotation rows and origin of a pose, checked; or a `KinematicsError`."""
-    matrix = pose.homogeneous if isinstance(pose, pin.SE3) else np.asarray(pose, dtype=np.float64)
-    if matrix.shape != (4, 4):
-        raise KinematicsError(f"the pose has shape {matrix.shape}; give an SE3 or a 4x4 array")
-    rows = matrix.tolist()
-    (a, b, c, x), (d, e, f, y), (g, h, i, z), last = rows
-    if not math.isfinite(a + b + c + d + e + f + g + h + i + x + y + z):
-        raise KinematicsError("the pose holds a number that is not finite; check its source")
-    skew = max(
-        abs(a * a + b * b + c * c - 1.0),
-        abs(d * d + e * e + f * f - 1.0),
-        abs(a * d + b * e + c * f),
-        # The third row must be the cross product of the first two: this refuses mirrors too.
-        abs(b * f - c * e - g) + abs(c * d - a * f - h) + abs(a * e - b * d - i),
-    )
-    if skew > ORTHONORMAL_TOLERANCE or last != [0.0, 0.0, 0.0, 1.0]:
-        raise KinematicsError(
-            "the pose is no rigid transform; give a proper rotation over a last row of 0 0 0 1"
-        )
-    return [[a, b, c], [d, e, f], [g, h, i]], (x, y, z)
 
 
 def _at_index(error: NoSolutionError, index: int) -> NoSolutionError:

@@ -21,7 +21,8 @@ import numpy.typing as npt
 from viskill_deploy.core.description import ArmDescription
 from viskill_deploy.core.errors import KinematicsError, NoSolutionError
 from viskill_deploy.core.types import FloatArray, Joints
-from viskill_deploy.kinematics.model import ROLL, checked_poses, checked_rows
+from viskill_deploy.kinematics.model import ROLL
+from viskill_deploy.kinematics.pose import checked_poses, checked_rows
 
 TURN = 2 * pi
 LIMIT_TOLERANCE = 1e-10
@@ -298,7 +299,8 @@ def _principal_batch(geometry: PsmGeometry, poses: FloatArray) -> FloatArray:
         np.arctan2(-(u * z).sum(axis=1), (u * x5).sum(axis=1)),
         np.arctan2((x * x5).sum(axis=1), (x * z5).sum(axis=1)),
     )
-    return np.stack(columns, axis=1) - np.array(geometry.shift)
+    joints: FloatArray = np.stack(columns, axis=1) - np.array(geometry.shift)
+    return joints
 
 
 def _nearest_turns(angle: FloatArray, seed: FloatArray, lower: float, upper: float) -> FloatArray:
@@ -309,4 +311,5 @@ def _nearest_turns(angle: FloatArray, seed: FloatArray, lower: float, upper: flo
     raised = angle + TURN * np.ceil(np.maximum(low, 0.0) / TURN)
     turned = np.where((high > 0) & (lower - lowered < angle - upper), lowered, angle)
     turned = np.where((low > 0) & (raised - upper < lower - angle), raised, turned)
-    return np.asarray(turned)
+    result: FloatArray = turned
+    return result

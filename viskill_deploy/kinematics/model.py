@@ -6,14 +6,13 @@ Modified (Craig) Denavit-Hartenberg throughout: link i is Rx(alpha) Tx(a) Rz(the
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from viskill_deploy.core.description import ArmDescription, PrismaticJoint, RevoluteJoint
-from viskill_deploy.core.errors import KinematicsError
 from viskill_deploy.core.types import FloatArray
+from viskill_deploy.kinematics.pose import checked_rows
 
 TIP_FRAME = "tip"
 """Frame at the control point: origin on the wrist-yaw axis, z forward."""
@@ -23,9 +22,6 @@ SHAFT_FRAME = "shaft"
 
 ROLL = 3
 """Index of the joint that turns the shaft about itself."""
-
-ORTHONORMAL_TOLERANCE = 1e-6
-"""How far R^T R of a pose may be from identity: float32 policies reach 1e-7."""
 
 
 def link_origin(joint: RevoluteJoint | PrismaticJoint) -> FloatArray:
@@ -104,35 +100,3 @@ def forward_batch(arm: ArmDescription, q: FloatArray) -> FloatArray:
     result = pose.copy()
     result[:, :3, :3] = pose[:, :3, :3] @ arm.tip_rotation
     return result
-
-
-def checked_rows(values: Any, width: int, name: str) -> FloatArray:
-    """`values` as a float64 array (N, width) of finite numbers, or a `KinematicsError`."""
-    rows = np.asarray(values, dtype=np.float64)
-    if rows.ndim != 2 or rows.shape[1] != width:
-        raise KinematicsError(f"{name} has shape {rows.shape}; give an array of shape (N, {width})")
-    if not np.isfinite(rows).all():
-        raise KinematicsError(
-            f"{name} holds a number that is not finite; check where it comes from"
-        )
-    return rows
-
-
-def checked_poses(values: Any, name: str) -> FloatArray:
-    """`values` as a float64 array (N, 4, 4) of proper poses, or a `KinematicsError`."""
-    poses = np.asarray(values, dtype=np.float64)
-    if poses.ndim != 3 or poses.shape[1:] != (4, 4):
-        raise KinematicsError(f"{name} has shape {poses.shape}; give an array of shape (N, 4, 4)")
-    if not np.isfinite(poses).all():
-        raise KinematicsError(
-            f"{name} holds a number that is not finite; check where it comes from"
-        )
-    R = poses[:, :3, :3]
-    skewed = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2)) > ORTHONORMAL_TOLERANCE
-    skewed |= (np.linalg.det(R) < 0) | (np.abs(poses[:, 3] - [0, 0, 0, 1]).max(axis=1) > 1e-9)
-    if skewed.any():
-        raise KinematicsError(
-            f"{name}[{int(skewed.argmax())}] is no rigid pose; give proper rotations over a last "
-            "row of 0 0 0 1"
-        )
-    return poses
