@@ -87,13 +87,15 @@ def cycle(cell: CellDescription, index: int) -> Cycle:
     )
 
 
-def feed(recorder: Recorder, cell: CellDescription, cycles: range, episode: int = 0) -> None:
-    """Records `cycles` with their scene and marks."""
+def feed(
+    recorder: Recorder, cell: CellDescription, cycles: range, episode: int = 0, every: int = 100
+) -> None:
+    """Records `cycles` with their scene and a mark `every` so many cycles."""
     for index in cycles:
         c = cycle(cell, index)
-        if (index - cycles.start) % 100 == 0:
-            skill = SKILLS[(index - cycles.start) // 100 % 3]
-            recorder.mark(c.now, episode, skill, (index - cycles.start) // 100)
+        if (index - cycles.start) % every == 0:
+            skill = SKILLS[(index - cycles.start) // every % 3]
+            recorder.mark(c.now, episode, skill, (index - cycles.start) // every)
         recorder.cycle(
             c.now, c.state, c.request, c.sent, c.action, c.verdicts, Mode.RUNNING, c.tip_poses
         )
@@ -101,10 +103,10 @@ def feed(recorder: Recorder, cell: CellDescription, cycles: range, episode: int 
         recorder.scene(c.now, Scene(c.now, (block,), "block0", np.array([0.01, 0.02, 0.0])))
 
 
-def record(path: Path, episodes: int = 1, cycles: int = 200) -> CellDescription:
+def record(path: Path, episodes: int = 1, cycles: int = 200, every: int = 100) -> CellDescription:
     """Records a whole run into the bag `path`."""
     cell = load_cell("bipegtransfer")
     with Recorder(path, cell, PERIOD_S, patience_s=30.0) as recorder:
         for episode in range(episodes):
-            feed(recorder, cell, range(episode * cycles, (episode + 1) * cycles), episode)
+            feed(recorder, cell, range(episode * cycles, (episode + 1) * cycles), episode, every)
     return cell

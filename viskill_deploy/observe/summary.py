@@ -1,0 +1,134 @@
+"""What a result says, as rows of words: shared by the terminal's tables and the report.
+
+A result is the dict that a run prints as JSON. Keys that are missing leave their row out.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from viskill_deploy.observe.labels import rule_label
+
+Result = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Fact:
+    """One figure of the run: its name, the words for it, and whether it is good news."""
+
+    name: str
+    text: str
+    good: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SkillRow:
+    """One skill over all episodes: policy steps (median, largest), successes, largest stretch."""
+
+    name: str
+    runs: int
+    successes: int
+    steps_median: float
+    steps_max: int
+    stretch_max: float | None
+
+    @property
+    def result(self) -> str:
+        """Done or failed, or how many of how many."""
+        if self.runs == 1:
+            return "done" if self.successes else "failed"
+        return f"{self.successes} of {self.runs}"
+
+    @property
+    def steps(self) -> str:
+        """Steps of one run, or median and largest of several."""
+        if self.runs == 1:
+            return str(self.steps_max)
+        return f"{self.steps_median:.0f} (at most {self.steps_max})"
+
+    @property
+    def stretch(self) -> str:
+        """How far time was stretched at most."""
+        return "–" if self.stretch_max is None else f"{self.stretch_max:.2f}×"
+
+
+@dataclass(frozen=True, slots=True)
+class MarginRow:
+    """Smallest distance to one rule's limit over the run, as part of the limit; below 0 is over."""
+
+    rule: str
+    label: str
+    margin: float
+    where: str
+
+    @property
+    def text(self) -> str:
+        """Percent of the limit that was left."""
+        return f"{100 * self.margin:.1f} %" if self.margin >= 0 else "over the limit"
+
+
+def facts(result: Result) -> list[Fact]:
+    """The figures of the run, most wanted first."""
+    rows: list[Fact | None] = [
+        _fact(result, "success_rate", "Success", _success_text(result), lambda v: v >= 0.9),
+        _fact(result, "interventions", "Interventions", "{:d}", lambda v: v == 0),
+        _fact(result, "realtime_factor", "Real-time factor", "{:.1f}×"),
+        _fact(result, "rcm_error_max_m", "Remote centre", "{:.3f} mm", scale=1e3),
+        _fact(result, "joint_margin_min", "Joint margin", "{:.4f}"),
+        _fact(result, "tip_speed_max_m_s", "Tip speed", "{:.1f} mm/s", scale=1e3),
+        _fact(result, "setpoints", "Setpoints", "{:,d}"),
+    ]
+    return [row for row in rows if row is not None]
+
+
+def _success_text(result: Result) -> str:
+    episodes = result.get("episodes")
+    return "{:.0%}" if not isinstance(episodes, int) or episodes < 1000 else "{:.1%}"
+
+
+def _fact(
+    result: Result, key: str, name: str, form: str, judge: Any = None, scale: float = 1
+) -> Fact | None:
+    value = result.get(key)
+    if not isinstance(value, int | float):
+        return None
+    scaled = value if scale == 1 else value * scale
+    return Fact(name, form.format(scaled), None if judge is None else bool(judge(value)))
+
+
+def skill_rows(result: Result, episode: int | None = None) -> list[SkillRow]:
+    """Every skill in the order in which it first ran, over all episodes or in one."""
+    entries: dict[str, list[Mapping[str, Any]]] = {}
+    for outcome in result.get("episode_results") or ():
+        if episode in {None, outcome.get("episode")}:
+            for skill in outcome.get("skills") or ():
+                entries.setdefault(str(skill.get("name", "")), []).append(skill)
+    return [_skill_row(name, runs) for name, runs in entries.items()]
+
+
+def _skill_row(name: str, runs: Sequence[Mapping[str, Any]]) -> SkillRow:
+    steps = [int(run.get("steps", 0)) for run in runs]
+    stretches = [float(run["stretch_max"]) for run in runs if run.get("stretch_max") is not None]
+    return SkillRow(
+        name=name,
+        runs=len(runs),
+        successes=sum(bool(run.get("success")) for run in runs),
+        steps_median=statistics.median(steps),
+        steps_max=max(steps),
+        stretch_max=max(stretches, default=None),
+    )
+
+
+def margin_rows(result: Result) -> list[MarginRow]:
+    """Smallest margin to every limit, tightest first. An entry is a number or a table of facts."""
+    rows = []
+    for rule, entry in (result.get("margins") or {}).items():
+        table = entry if isinstance(entry, Mapping) else {"margin": entry}
+        margin = table.get("margin", table.get("min"))
+        if isinstance(margin, int | float):
+            where = " ".join(str(table[key]) for key in ("arm", "joint") if key in table)
+            rows.append(MarginRow(rule, rule_label(rule), float(margin), where))
+    return sorted(rows, key=lambda row: row.margin)

@@ -1,0 +1,122 @@
+"""What the terminal shows: a progress bar during a run, tables at its end.
+
+On something that is not a terminal, plain lines without colours or boxes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from viskill_deploy.observe.summary import Result, facts, margin_rows, skill_rows
+
+
+class Advance(Protocol):
+    """Tells the progress display that one more episode is over."""
+
+    def __call__(self, successes: int) -> None:
+        """Moves on by one; `successes` so far stands beside the bar."""
+        ...
+
+
+def print_tables(result: Result, console: Console) -> None:
+    """Prints what a run came to: its figures, its skills, its margins."""
+    if not console.is_terminal:
+        for line in plain_lines(result):
+            console.print(line, markup=False, highlight=False, soft_wrap=True)
+        return
+    console.print(_fact_table(result))
+    if skill_rows(result):
+        console.print(_skill_table(result))
+    if margin_rows(result):
+        console.print(_margin_table(result))
+    for note in result.get("notes") or ():
+        console.print(f"note: {note}", markup=False, style="yellow")
+
+
+def plain_lines(result: Result) -> Iterator[str]:
+    """The same as lines of text."""
+    yield _title(result)
+    for fact in facts(result):
+        yield f"{fact.name.lower()}: {fact.text}"
+    for skill in skill_rows(result):
+        yield f"skill {skill.name}: {skill.steps} steps, {skill.result}, stretch {skill.stretch}"
+    for margin in margin_rows(result):
+        where = f" at {margin.where}" if margin.where else ""
+        yield f"smallest margin to {margin.label}: {margin.text}{where}"
+    for note in result.get("notes") or ():
+        yield f"note: {note}"
+
+
+def _title(result: Result) -> str:
+    names = [str(result[key]) for key in ("task", "mode", "distribution") if result.get(key)]
+    episodes = result.get("episodes")
+    count = f", {episodes} episode{'s' * (episodes != 1)}" if episodes is not None else ""
+    return " · ".join(names) + count
+
+
+def _fact_table(result: Result) -> Table:
+    table = Table(title=_title(result), title_justify="left", show_header=False)
+    table.add_column(style="bold")
+    table.add_column(justify="right")
+    for fact in facts(result):
+        style = {True: "green", False: "red", None: ""}[fact.good]
+        table.add_row(fact.name, fact.text, style=style)
+    return table
+
+
+def _skill_table(result: Result) -> Table:
+    table = Table(title="Skills", title_justify="left")
+    table.add_column("skill", style="bold")
+    for name in ("steps", "result", "stretch"):
+        table.add_column(name, justify="right")
+    for row in skill_rows(result):
+        style = "" if row.successes == row.runs else "red"
+        table.add_row(row.name, row.steps, row.result, row.stretch, style=style)
+    return table
+
+
+def _margin_table(result: Result) -> Table:
+    table = Table(title="Smallest margin to every limit", title_justify="left")
+    table.add_column("limit", style="bold")
+    table.add_column("left", justify="right")
+    table.add_column("where")
+    for row in margin_rows(result):
+        table.add_row(row.label, row.text, row.where, style="red" if row.margin < 0 else "")
+    return table
+
+
+@contextmanager
+def progress(episodes: int, console: Console) -> Iterator[Advance]:
+    """A bar over the episodes of a run; a line an episode's tenth where there is no terminal."""
+    if console.is_terminal:
+        with _bar(console) as bar:
+            task = bar.add_task("episodes", total=episodes, note="")
+            yield lambda successes: bar.update(task, advance=1, note=f"{successes} succeeded")
+        return
+    done = 0
+    every = max(1, episodes // 10)
+
+    def advance(successes: int) -> None:
+        nonlocal done
+        done += 1
+        if done % every == 0 or done == episodes:
+            console.print(f"episode {done} of {episodes}, {successes} succeeded", highlight=False)
+
+    yield advance
+
+
+def _bar(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeRemainingColumn(),
+        console=console,
+    )
