@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from viskill_deploy.core.types import FloatArray, Scene, Waypoint
-from viskill_deploy.motion.resolve import resolve, task_poses, waypoint_at
+from viskill_deploy.kinematics.arm import Arm
+from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.motion.smoothing import AxisMotion, Segment, SegmentPlanner, passing_velocity
 from viskill_deploy.motion.waypoints import apply_action
 from viskill_deploy.sim.tasks.base import SkillSpec, Task
@@ -31,6 +32,8 @@ class ClosedLoop:
     def __init__(self, task: Task, world: World | None = None) -> None:
         self.task, self.world = task, world or World(task.cell)
         self._planner = SegmentPlanner(task.cell, self.world.options.period_s)
+        self._arms = [Arm(arm.arm) for arm in task.cell.arms]
+        self._base_from_task = [np.linalg.inv(arm.T_task_base) for arm in task.cell.arms]
         self._rest(self.world.home)
 
     def _rest(self, axes: FloatArray) -> None:
@@ -58,24 +61,46 @@ class ClosedLoop:
 
     def observe(self) -> FloatArray:
         """What the policy sees now."""
-        poses, jaws = self._measured()
-        return self.task.observe(poses, jaws, self.world.scene())
+        readings = [self.world.measured(index) for index in range(len(self._arms))]
+        self._tips = [
+            cell_arm.T_task_base @ arm.forward(reading.jp).homogeneous
+            for cell_arm, arm, reading in zip(
+                self.task.cell.arms, self._arms, readings, strict=True
+            )
+        ]
+        jaws = [reading.jaw for reading in readings]
+        return self.task.observe(self._tips, jaws, self.world.scene())
 
     def plan(self, action: FloatArray, skill: SkillSpec) -> Segment:
-        """The segment that an action asks for; the episode's next step."""
-        poses, _ = self._measured()
+        """The segment that an action asks for, seen from the last observation.
+
+        Raises:
+            NoSolutionError: the waypoint is out of reach.
+            MotionError: no motion inside the limits does what the action asks for.
+        """
         cell = self.task.cell
         self._last = apply_action(
-            self._last, action, poses, cell, self.task.action, skill.name, skill.may_open_jaw
+            self._last, action, self._tips, cell, self.task.action, skill.name, skill.may_open_jaw
         )
-        target = resolve(cell, [self._last], [m.p for m in self._motion])[1]
-        wish = passing_velocity(self._motion, target, self._last.step_s)
-        return self._planner.plan(self._motion, target.tolist(), wish, self._last.step_s)
+        target = [
+            [*arm.inverse(back @ T, motion.p[:6]).tolist(), jaw]
+            for arm, back, T, motion, jaw in zip(
+                self._arms,
+                self._base_from_task,
+                self._last.T_task_tip,
+                self._motion,
+                self._last.jaw,
+                strict=True,
+            )
+        ]
+        wish = passing_velocity(self._motion, np.array(target), self._last.step_s)
+        return self._planner.plan(self._motion, target, wish, self._last.step_s)
 
     def step(self, action: FloatArray, skill: SkillSpec) -> FloatArray:
         """Lets one policy step pass; returns the next observation.
 
         Raises:
+            NoSolutionError: the waypoint is out of reach.
             MotionError: no motion inside the limits does what the action asks for.
         """
         segment = self.plan(action, skill)
@@ -90,11 +115,3 @@ class ClosedLoop:
     def success(self) -> bool:
         """Whether the task is done now."""
         return self.task.success(self.world.active_object(), self.world.scene())
-
-    def _measured(self) -> tuple[list[FloatArray], list[float]]:
-        poses, jaws = [], []
-        for index in range(len(self.task.cell.arms)):
-            reading = self.world.measured(index)
-            poses.append(task_poses(self.task.cell, index, np.array([reading.jp]))[0])
-            jaws.append(reading.jaw)
-        return poses, jaws

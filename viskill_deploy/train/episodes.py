@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import onnxruntime
 
-from viskill_deploy.core.errors import MotionError
+from viskill_deploy.core.errors import KinematicsError, MotionError
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.motion.waypoints import ACTION_SIZE
 from viskill_deploy.sim.closed_loop import ClosedLoop
@@ -95,7 +95,7 @@ def run_episode(
             obs, record = _run_skill(
                 loop, skill, policy, obs, goals[skill.name], request.disturbance, rng
             )
-        except MotionError:
+        except (KinematicsError, MotionError):
             return EpisodeRecord(request, tuple(records), False)
         records.append(record)
     return EpisodeRecord(request, tuple(records), loop.success())

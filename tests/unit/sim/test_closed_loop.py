@@ -3,7 +3,8 @@ import pytest
 
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.motion.resolve import task_poses
-from viskill_deploy.sim.closed_loop import ClosedLoop, passing_velocity
+from viskill_deploy.motion.smoothing import passing_velocity
+from viskill_deploy.sim.closed_loop import ClosedLoop
 from viskill_deploy.sim.tasks import load_task
 
 TASK = load_task("bipegtransfer")
