@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
+from viskill_deploy.core.clock import MonotonicClock
 from viskill_deploy.core.errors import MotionError, SafetyStop
 from viskill_deploy.drivers import loopback, loopback_served
 from viskill_deploy.drivers.base import Driver
@@ -65,20 +65,20 @@ def dry_run(
     Returns:
         The run's figures, ready for JSON.
     """
-    notes = list(prepared.notes)
+    notes, clock = list(prepared.notes), MonotonicClock()
     driver = _driver(prepared, options)
     line = Line(prepared.cell, driver.period_s, options.ik_solver, options.speed)
     with Session(prepared.cell, driver, line, recorder) as session:
         if options.real_time:
             notes += realtime.prepare()
-        began = time.perf_counter()
+        began = clock.now()
         try:
             for episode in range(options.episodes):
                 progress(_episode(session, prepared, options, episode))
         finally:
             if options.real_time:
                 realtime.release()
-        wall = time.perf_counter() - began
+        wall = clock.now() - began
     return _figures(prepared, options, session, wall, notes)
 
 

@@ -31,6 +31,7 @@ def closed_loop(
 ) -> EpisodeResult:
     """Runs the skills in turn, asking the policy at every step."""
     task, driver = job.task, session.driver
+    session.make_ready()
     session.begin()
     result = EpisodeResult(episode)
     state, scene = driver.state(), _seen(session)
@@ -71,7 +72,7 @@ def planned(
     session: Session, job: Job, rng: np.random.Generator, episode: int, speed: float = 1.0
 ) -> EpisodeResult:
     """Makes the whole plan in a simulator, checks it, and only then streams it."""
-    state, scene = session.driver.state(), _seen(session)
+    state, scene = session.make_ready(), _seen(session)
     plan = make_plan(session.cell, job.task, job.bundle, axes_of(state), scene, rng, speed)
     plan.check(session.cell, session.driver.period_s, state)
     session.begin()

@@ -117,7 +117,7 @@ def make_plan(
     chain = SkillChain(bundle, lambda skill, _: subgoals[skill])
     skills = {skill.name: skill for skill in task.skills}
     first = task.skills[0]
-    waypoints = [replace(loop.waypoint, skill=first.name, may_open_jaw=first.may_open_jaw)]
+    waypoints = [replace(loop.waypoint, may_open_jaw=first.may_open_jaw)]
     while not chain.finished:
         choice = chain.act(observation)
         observation = loop.step(choice.action, skills[choice.skill])

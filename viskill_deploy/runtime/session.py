@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -102,31 +102,44 @@ class Session:
     ) -> None:
         self.driver.close()
 
+    def make_ready(self) -> CellState:
+        """Enables and homes the arms; returns their state. Nothing moves yet."""
+        self.driver.enable()
+        self.driver.home()
+        self._deadline = self.driver.clock.now()
+        self._wait_for_next_period()
+        return self.driver.state()
+
     def begin(self) -> None:
-        """Enables and homes the arms, gets the operator's consent, and arms a fresh gate.
+        """Gets the operator's consent for a fresh gate and arms it; the arms are ready.
 
         Raises:
             SafetyStop: the gate refuses; names the rules.
         """
         self.gate = Supervisor(self.cell, self.driver.period_s)
-        self.driver.enable()
-        self.driver.home()
+        self._deadline = self.driver.clock.now()
         if self.driver.capabilities.simulated:
             self.driver.say(consent=False)
-        self._deadline = self.driver.clock.now()
-        for _ in range(READY_PERIODS):
-            self._wait_for_next_period()
-            if self.gate.connect(self.driver.state()) is Mode.READY:
-                break
+        self._watch(lambda state: not state.inputs.consent)
         if self.driver.capabilities.simulated:
             self.driver.say(consent=True)
-        state = self.driver.state()
+        state = self._watch(lambda state: state.inputs.consent)
         against = self.gate.arm(state, self.driver.clock.now())
         if against:
             reasons = ", ".join(f"{v.rule} ({v.value:.4g}, limit {v.limit:.4g})" for v in against)
             raise SafetyStop(f"the gate refuses to arm: {reasons}; put that right and start again")
         self.line.start(state)
         self._waypoint = None
+
+    def _watch(self, seen: Callable[[CellState], bool]) -> CellState:
+        """Shows the gate states until one is as awaited, or the arms had time enough for it."""
+        for _ in range(READY_PERIODS):
+            self._wait_for_next_period()
+            state = self.driver.state()
+            self.gate.connect(state)
+            if seen(state) and self.gate.mode is Mode.READY:
+                break
+        return state
 
     def go_to(self, waypoint: Waypoint, last: bool = False) -> float:
         """Begins the motion to a waypoint; returns its stretch."""
