@@ -51,10 +51,10 @@ class Rule:
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """One verdict a joint, by differences or by the velocity sent along; one for the cell."""
-        for track, limits in zip(cycle.tracks, self._limits, strict=True):
+        for track, limits, inverse in zip(cycle.tracks, self._limits, self._inverse, strict=True):
             for joint, limit in enumerate(limits):
-                speed = max(track.speed[joint] * limit, abs(track.asked.jv[joint]))
-                yield from scale_or_hold(self.id, track.index, joint, speed, limit)
+                part = max(track.speed[joint], abs(track.asked.jv[joint]) * inverse[joint])
+                yield from scale_or_hold(self.id, track.index, joint, part, limit)
         yield from scale_or_hold(self.id, -1, -1, self._window, 1.0)
 
     def _over_window(self, cycle: Cycle, largest: float) -> float:

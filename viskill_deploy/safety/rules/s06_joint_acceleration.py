@@ -29,4 +29,4 @@ class Rule:
         """One verdict a joint over its limit."""
         for track, limits in zip(cycle.tracks, self._limits, strict=True):
             for joint, (part, limit) in enumerate(zip(track.acceleration, limits, strict=True)):
-                yield from scale_or_hold(self.id, track.index, joint, part * limit, limit)
+                yield from scale_or_hold(self.id, track.index, joint, part, limit)

@@ -33,4 +33,5 @@ class Rule:
             if speed * (1.0 - ROUNDING) > self._ceiling:
                 yield Verdict(self.id, Action.STOP, track.index, -1, speed, self._ceiling)
             else:
-                yield from scale_or_hold(self.id, track.index, -1, speed, self._limit)
+                part = speed * self._inverse
+                yield from scale_or_hold(self.id, track.index, -1, part, self._limit)

@@ -10,6 +10,7 @@ from viskill_deploy.core.types import Action, Verdict
 from viskill_deploy.safety.cycle import Cycle
 from viskill_deploy.safety.envelope import ROUNDING, CellEnvelope
 from viskill_deploy.safety.rule_base import Needs
+from viskill_deploy.safety.track import ArmTrack
 
 JAW = 6
 OPENS_RAD = 0.02
@@ -37,8 +38,7 @@ class Rule:
         parts: list[float] = []
         for arm, track in enumerate(cycle.tracks):
             self._follow_grip(cycle, arm)
-            along = abs(track.asked.jaw_v) * (1.0 - ROUNDING) / self._speed[arm]
-            parts += (track.speed[JAW], along, self._opening(cycle, arm) / OPENS_RAD)
+            parts += (self._speed_part(track), self._opening(cycle, arm) / OPENS_RAD)
             if self._is_leaving_range(cycle, arm):
                 return -1.0
         return 1.0 - max(parts)
@@ -47,16 +47,20 @@ class Rule:
         """One verdict for each thing that is wrong with a jaw."""
         for arm, track in enumerate(cycle.tracks):
             jaw, limit = track.asked.jaw, self._speed[arm]
-            speed = max(track.speed[JAW] * limit, abs(track.asked.jaw_v))
-            opening = self._opening(cycle, arm)
-            if speed * (1.0 - ROUNDING) > limit:
-                yield Verdict(self.id, Action.HOLD, arm, JAW, speed, limit)
+            part, opening = self._speed_part(track), self._opening(cycle, arm)
+            if part > 1.0:
+                yield Verdict(self.id, Action.HOLD, arm, JAW, part * limit, limit)
             if opening > OPENS_RAD:
                 yield Verdict(self.id, Action.HOLD, arm, JAW, opening, OPENS_RAD)
             if self._is_leaving_range(cycle, arm):
                 lower, upper = self._range[arm]
                 bound = lower if jaw < lower else upper
                 yield Verdict(self.id, Action.HOLD, arm, JAW, jaw, bound)
+
+    def _speed_part(self, track: ArmTrack) -> float:
+        """The faster of difference and velocity sent along, as a part of the limit."""
+        along = abs(track.asked.jaw_v) * (1.0 - ROUNDING) / self._speed[track.index]
+        return max(track.speed[JAW], along)
 
     def _follow_grip(self, cycle: Cycle, arm: int) -> None:
         holding, may_open = cycle.request.holding, cycle.request.may_open_jaw
