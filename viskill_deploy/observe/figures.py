@@ -90,13 +90,14 @@ def path_figure(data: RunData, cell: CellDescription) -> Figure:
         if topic.startswith("/scene/") and moved > 1e-3:
             traces += _path(track.position, topic.removeprefix("/scene/"), BLOCK_COLOUR, 6)
     traces += _pegs(cell)
-    wall = {"backgroundcolor": "#f8fafc", "gridcolor": "#e2e8f0", "showbackground": True}
+    wall: Figure = {"backgroundcolor": "#f8fafc", "gridcolor": "#e2e8f0", "showbackground": True}
+    wall["zerolinecolor"] = "#cbd5e1"
     scene: Figure = {
         f"{name}axis": {**wall, "title": {"text": f"{name}, mm"}, "nticks": 6} for name in "xyz"
     }
     scene |= {
         "aspectmode": "data",
-        "camera": {"eye": {"x": 1.25, "y": 0.75, "z": 0.7}, "center": {"z": -0.12}},
+        "camera": {"eye": {"x": 1.45, "y": 0.85, "z": 0.85}, "center": {"z": -0.15}},
     }
     layout = base_layout(560, scene=scene, hovermode="closest")
     return {"data": traces, "layout": layout | {"margin": {"l": 0, "r": 0, "t": 36, "b": 0}}}

@@ -6,6 +6,7 @@ recorder left. Messages of one channel and one size that lie behind each other c
 
 from __future__ import annotations
 
+import mmap
 import struct
 import sys
 import zlib
@@ -47,7 +48,7 @@ class Run:
     data: npt.NDArray[np.uint8]
 
 
-def _texts(data: bytes, at: int, count: int) -> list[str]:
+def _texts(data: bytes | mmap.mmap, at: int, count: int) -> list[str]:
     texts = []
     for _ in range(count):
         (size,) = struct.unpack_from("<I", data, at)
@@ -74,10 +75,16 @@ class RunFile:
         self._types: dict[int, str] = {}
         self._topics: dict[int, tuple[str, str]] = {}
         try:
-            self._data = path.read_bytes()
+            with path.open("rb") as file:
+                foreign = file.read(len(MAGIC)) != MAGIC
+                # mapped, not read: a run of a hundred episodes is larger than what is asked of it
+                self._data: bytes | mmap.mmap
+                self._data = (
+                    b"" if foreign else mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+                )
         except OSError as error:
             raise RecordingError(f"{path}: cannot be read ({error}); check the path") from error
-        if not self._data.startswith(MAGIC):
+        if foreign:
             raise RecordingError(f"{path}: not an MCAP file; name the .mcap of a recording")
 
     def chunks(self) -> Iterator[list[Run]]:
