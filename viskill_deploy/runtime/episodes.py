@@ -60,10 +60,7 @@ def closed_loop(
         observation = _observe(session, task, state, scene)
         skill = result.skill(choice.skill)
         skill.steps, skill.stretch_max = choice.step + 1, max(skill.stretch_max, stretch)
-        if driver.capabilities.simulated:
-            touched = driver.active_object().touched
-            reached = task.achieved(choice.skill, observation, touched)
-            skill.success = task.skill_success(reached, choice.subgoal)
+        _judge_skill(session, task, result, choice.subgoal)
     result.success = _judge(session, task)
     return result
 
@@ -78,12 +75,17 @@ def planned(
     session.begin()
     result = EpisodeResult(episode)
     session.line.follow(plan.motion)
+    index = 0
     while not session.line.arrived:
-        waypoint = _follow_marks(session, plan, result)
-        session.allow(plan.waypoints[waypoint])
+        reached = plan.index_at(session.line.phase + session.driver.period_s)
+        if reached != index:
+            _pass_waypoint(session, job.task, plan, result, index, reached)
+            index = reached
+        session.allow(plan.waypoints[index])
         if not session.cycle():
             session.come_to_rest(result)
             return result
+    _judge_skill(session, job.task, result, plan.subgoals[plan.waypoints[-1].skill])
     for skill in result.skills:
         skill.stretch_max = plan.motion.stretch
     result.success = _judge(session, job.task)
@@ -104,17 +106,24 @@ def axes_of(state: CellState) -> FloatArray:
     return np.array([(*arm.setpoint_jp, arm.jaw_setpoint_jp) for arm in state.arms])
 
 
-def _follow_marks(session: Session, plan: Plan, result: EpisodeResult) -> int:
-    """Index of the waypoint that the plan is on its way to; notes it when it is a new one."""
-    index = plan.index_at(session.line.phase + session.driver.period_s)
-    name = plan.waypoints[index].skill
-    step = index - plan.first_of(name) + 1
-    skill = result.skill(name)
-    if skill.steps != step:
-        skill.steps = step
-        now = session.driver.clock.now()
-        session.recorder.mark(now, result.episode, name, step)
-    return index
+def _pass_waypoint(
+    session: Session, task: Task, plan: Plan, result: EpisodeResult, passed: int, ahead: int
+) -> None:
+    """Notes that the plan is on its way to the waypoint `ahead`; judges a skill that has ended."""
+    name, before = plan.waypoints[ahead].skill, plan.waypoints[passed].skill
+    if before and name != before:
+        _judge_skill(session, task, result, plan.subgoals[before])
+    step = ahead - plan.first_of(name)
+    result.skill(name).steps = step + 1
+    session.recorder.mark(session.driver.clock.now(), result.episode, name, step)
+
+
+def _judge_skill(session: Session, task: Task, result: EpisodeResult, subgoal: FloatArray) -> None:
+    """Whether the skill that is running has reached its subgoal, where the simulator can tell."""
+    if session.driver.capabilities.simulated:
+        skill, touched = result.skills[-1], session.driver.active_object().touched
+        seen = _observe(session, task, session.driver.state(), _seen(session))
+        skill.success = task.skill_success(task.achieved(skill.name, seen, touched), subgoal)
 
 
 def _mark(session: Session, result: EpisodeResult, choice: Choice) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,11 +37,13 @@ class Plan:
     Attributes:
         waypoints: where it leads, the first where the arms are.
         motion: the same in joints, smoothed.
+        subgoals: what each skill was told to reach.
         success: whether the task was done in the simulator that made it.
     """
 
     waypoints: tuple[Waypoint, ...]
     motion: JointPlan
+    subgoals: Mapping[str, FloatArray]
     success: bool
 
     def first_of(self, skill: str) -> int:
@@ -124,7 +126,8 @@ def make_plan(
         waypoints.append(loop.waypoint)
     dense = densified(waypoints)
     q = resolve(cell, dense[1:], axes.tolist())
-    return Plan(tuple(dense), smooth(cell, q, cell.file.motion.step_s, speed), loop.success())
+    motion = smooth(cell, q, cell.file.motion.step_s, speed)
+    return Plan(tuple(dense), motion, subgoals, loop.success())
 
 
 def _ideal(state: CellState, motion: Sequence[AxisMotion], now: float, consent: bool) -> CellState:

@@ -1,0 +1,110 @@
+"""`viskill doctor`: what this machine has, what it lacks, and what to do about it."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import json
+import os
+import platform
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from viskill_deploy.core import data
+from viskill_deploy.core.description import ToolFile, load_cell, load_robot, read_toml
+from viskill_deploy.core.errors import ViskillError
+
+EXAMPLE = "Example: viskill doctor --json"
+
+PARTS = ("pin", "mujoco", "ruckig", "daqp", "osqp", "qpsolvers", "onnxruntime", "numpy", "rosbags")
+EXTRAS = {"train": "torch", "ros": "cyclonedds", "can": "canopen", "view": "viser"}
+
+
+def command(
+    json_: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
+) -> None:
+    """Show versions, optional parts, data files and real-time permissions of this machine."""
+    found = _examine()
+    if json_:
+        print(json.dumps(found))
+    else:
+        _print(found)
+    if found["problems"]:
+        raise typer.Exit(3)
+
+
+def _examine() -> dict[str, Any]:
+    files, problems = _data_files()
+    return {
+        "viskill_deploy": importlib.metadata.version("viskill-deploy"),
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.release()}, {os.cpu_count()} cores",
+        "parts": {part: importlib.metadata.version(part) for part in PARTS},
+        "extras": {
+            extra: importlib.util.find_spec(module) is not None for extra, module in EXTRAS.items()
+        },
+        "real_time": _may_schedule(),
+        "data_roots": [str(root) for root in data.data_roots() if root.is_dir()],
+        "data_files": files,
+        "bundles": _bundles(),
+        "problems": problems,
+    }
+
+
+def _data_files() -> tuple[dict[str, str], list[str]]:
+    """Hash of every robot, tool and cell file, and what is wrong with any of them."""
+    hashes, problems = {}, []
+    for folder in ("robots", "robots/tools", "robots/cells"):
+        for name in data.names(folder):
+            path = data.find(f"{folder}/{name}.toml")
+            hashes[str(path)] = data.sha256(path)
+    for cell in data.names("robots/cells"):
+        try:
+            load_cell(cell)
+        except ViskillError as error:
+            problems.append(str(error))
+    for tool in data.names("robots/tools"):
+        try:
+            generation = read_toml(data.find(f"robots/tools/{tool}.toml"), ToolFile).generation
+            load_robot(f"psm_{generation.lower()}", tool)
+        except ViskillError as error:
+            problems.append(str(error))
+    return hashes, problems
+
+
+def _bundles() -> list[str]:
+    manifests = (
+        p for root in data.data_roots() for p in (root / "policies").glob("*/manifest.json")
+    )
+    return sorted({str(path.parent) for path in manifests})
+
+
+def _may_schedule() -> bool:
+    """Whether SCHED_FIFO is granted; gives normal scheduling back at once."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except (AttributeError, OSError):
+        return False
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    return True
+
+
+def _print(found: dict[str, Any]) -> None:
+    print(f"viskill_deploy {found['viskill_deploy']}, Python {found['python']}, {found['system']}")
+    print("parts:   " + ", ".join(f"{name} {v}" for name, v in found["parts"].items()))
+    for extra, there in found["extras"].items():
+        hint = "installed" if there else f"not installed: pip install 'viskill-deploy[{extra}]'"
+        print(f"extra {extra}: {hint}")
+    if found["real_time"]:
+        print("real-time scheduling: granted")
+    else:
+        print("real-time scheduling: refused; add an rtprio entry to /etc/security/limits.conf")
+    print("data:    " + ", ".join(found["data_roots"]) + f" ({len(found['data_files'])} files)")
+    for bundle in found["bundles"]:
+        print(f"bundle:  {Path(bundle)}")
+    for problem in found["problems"]:
+        print(f"problem: {problem}", file=sys.stderr)
+    print("all well" if not found["problems"] else f"{len(found['problems'])} problems")

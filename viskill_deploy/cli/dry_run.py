@@ -1,0 +1,173 @@
+"""`viskill dry-run`: a bundle on the loopback, through the whole line and the gate."""
+
+from __future__ import annotations
+
+import datetime
+import enum
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import qpsolvers
+import typer
+from rich.console import Console
+
+from viskill_deploy.core.clock import wall_time
+from viskill_deploy.core.errors import SafetyStop
+from viskill_deploy.observe.recording import Recorder
+from viskill_deploy.observe.report import write_report
+from viskill_deploy.observe.tables import print_tables, progress
+from viskill_deploy.observe.video import Video, render_video
+from viskill_deploy.runtime.dry_run import DryRunOptions, dry_run
+from viskill_deploy.runtime.ledger import EpisodeResult
+from viskill_deploy.runtime.preflight import Prepared, prepare
+
+EXAMPLE = "Example: viskill dry-run policies/bipegtransfer-imitation --episodes 5 --seed 1"
+
+MISSED = 1
+
+
+class ModeName(enum.StrEnum):
+    """How the policy is run."""
+
+    CLOSED_LOOP = "closed-loop"
+    PLAN = "plan"
+
+
+def command(
+    bundle: Annotated[Path, typer.Argument(help="Folder of a policy bundle.")],
+    episodes: Annotated[int, typer.Option(min=1, help="How many episodes.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of layouts and noise.")] = 0,
+    distribution: Annotated[
+        str, typer.Option(help="Where blocks and goal are drawn from: reference or wide.")
+    ] = "reference",
+    mode: Annotated[
+        ModeName, typer.Option(help="Ask the policy at every step, or plan first and stream.")
+    ] = ModeName.CLOSED_LOOP,
+    rate: Annotated[float, typer.Option(min=100, max=1000, help="Control rate, Hz.")] = 250.0,
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Loopback in its own process, against the clock.")
+    ] = False,
+    ik_solver: Annotated[str, typer.Option(help="QP solver of the IK.")] = "daqp",
+    speed: Annotated[
+        float, typer.Option(min=0.05, max=1.0, help="Part of the planned tip speed to use.")
+    ] = 1.0,
+    joint_noise: Annotated[
+        float, typer.Option(min=0, help="Measurement noise of angles, rad.")
+    ] = 0.0,
+    insertion_noise: Annotated[
+        float, typer.Option(min=0, help="Measurement noise of the insertion, m.")
+    ] = 0.0,
+    object_noise: Annotated[
+        float, typer.Option(min=0, help="Measurement noise of objects, m.")
+    ] = 0.0,
+    delay: Annotated[int, typer.Option(min=0, help="Control periods from setpoint to effect.")] = 0,
+    require_success: Annotated[
+        float, typer.Option(min=0, max=1, help="Exit 1 below this success rate.")
+    ] = 0.0,
+    output: Annotated[Path | None, typer.Option(help="Folder for report and recording.")] = None,
+    video: Annotated[bool, typer.Option(help="Render the first episode.")] = True,
+    json_: Annotated[
+        bool, typer.Option("--json", help="Print the figures as one JSON object, nothing else.")
+    ] = False,
+) -> None:
+    """Dry-run a policy bundle on the simulated cell.
+
+    Every setpoint goes through IK, smoothing and the safety gate, as on a robot. Writes a
+    recording, figures and a report. Exits with 5 after a safety stop, 3 on a bad bundle.
+    """
+    prepared = prepare(bundle)
+    _check(prepared, distribution, ik_solver)
+    options = DryRunOptions(
+        episodes=episodes,
+        seed=seed,
+        distribution=distribution,
+        mode="plan" if mode is ModeName.PLAN else "closed-loop",
+        rate_hz=rate,
+        real_time=realtime,
+        ik_solver=ik_solver,
+        speed=speed,
+        joint_noise_rad=joint_noise,
+        joint_noise_m=insertion_noise,
+        object_noise_m=object_noise,
+        delay_periods=delay,
+    )
+    folder = _new_folder(output, prepared.bundle.manifest.name)
+    console = Console(stderr=json_)
+    result = _run(prepared, options, folder, console)
+    report = _report(prepared, result, folder, video, console)
+    _show(result, folder, report, json_, console)
+    if result["interventions"]:
+        raise SafetyStop(
+            f"the gate stepped in {result['interventions']} times; see {report} for rule and time"
+        )
+    if result["success_rate"] < require_success:
+        print(
+            f"viskill: success {result['success_rate']:.2f} is below the required "
+            f"{require_success:.2f}",
+            file=sys.stderr,
+        )
+        raise typer.Exit(MISSED)
+
+
+def _check(prepared: Prepared, distribution: str, ik_solver: str) -> None:
+    if distribution not in prepared.task.distributions:
+        raise typer.BadParameter(
+            f"{prepared.task.name} has the distributions {', '.join(prepared.task.distributions)}"
+        )
+    solvers = qpsolvers.available_solvers
+    if ik_solver not in solvers:
+        raise typer.BadParameter(f"installed QP solvers: {', '.join(solvers)}")
+
+
+def _new_folder(output: Path | None, name: str) -> Path:
+    if output is None:
+        moment = datetime.datetime.fromtimestamp(wall_time(), datetime.UTC)
+        output = Path("runs") / f"{moment:%Y%m%d-%H%M%S}-{name}"
+    if output.exists() and any(output.iterdir()):
+        raise typer.BadParameter(f"{output} is not empty; name a new folder with --output")
+    output.mkdir(parents=True, exist_ok=True)
+    return output
+
+
+def _run(
+    prepared: Prepared, options: DryRunOptions, folder: Path, console: Console
+) -> dict[str, Any]:
+    period = 1.0 / options.rate_hz
+    succeeded = 0
+    with (
+        Recorder(folder / "recording", prepared.cell, period) as recorder,
+        progress(options.episodes, console) as advance,
+    ):
+
+        def one_more(result: EpisodeResult) -> None:
+            nonlocal succeeded
+            succeeded += result.success
+            advance(succeeded)
+
+        return dry_run(prepared, options, recorder, one_more)
+
+
+def _report(
+    prepared: Prepared, result: dict[str, Any], folder: Path, video: bool, console: Console
+) -> Path:
+    (folder / "result.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    picture: Video | None = None
+    recording = folder / "recording"
+    if video and result["setpoints"]:
+        with console.status("rendering the video"):
+            picture = render_video(recording, folder / "video.mp4", episode=0)
+    with console.status("writing the report"):
+        return write_report(folder / "report.html", result, prepared.cell, recording, picture, 0)
+
+
+def _show(
+    result: dict[str, Any], folder: Path, report: Path, as_json: bool, console: Console
+) -> None:
+    if as_json:
+        print(json.dumps(result))
+        return
+    print_tables(result, console)
+    console.print(f"report:    {report}", highlight=False, soft_wrap=True)
+    console.print(f"recording: {folder / 'recording'}", highlight=False, soft_wrap=True)

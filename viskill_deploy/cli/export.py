@@ -1,0 +1,28 @@
+"""`viskill export`: a training run as a policy bundle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from viskill_deploy.core.errors import MissingExtraError
+
+EXAMPLE = "Example: viskill export runs/imitation policies/bipegtransfer-imitation"
+
+
+def command(
+    run: Annotated[Path, typer.Argument(help="Folder that `viskill train` wrote.")],
+    output: Annotated[Path, typer.Argument(help="The bundle's folder.")],
+    episodes: Annotated[
+        int, typer.Option(min=0, help="Episodes to measure in each distribution.")
+    ] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of those episodes.")] = 0,
+) -> None:
+    """Export a training run as ONNX graphs with manifest and model card, and measure it."""
+    try:
+        from viskill_deploy.train import export  # noqa: PLC0415 - torch is an extra
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("train", "viskill export") from error
+    export.export(run, output, episodes, seed)

@@ -1,0 +1,55 @@
+"""`viskill inspect`: what a bundle holds, after every check of its integrity."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from viskill_deploy.bundle.format import Manifest
+from viskill_deploy.runtime.preflight import prepare
+
+EXAMPLE = "Example: viskill inspect policies/bipegtransfer-imitation"
+
+
+def command(
+    bundle: Annotated[Path, typer.Argument(help="Folder of a policy bundle.")],
+    json_: Annotated[bool, typer.Option("--json", help="Print the manifest as JSON.")] = False,
+) -> None:
+    """Check a policy bundle and show what it holds."""
+    prepared = prepare(bundle)
+    manifest = prepared.bundle.manifest
+    if json_:
+        print(json.dumps(manifest.model_dump(mode="json", by_alias=True)))
+        return
+    _print(manifest, Console())
+    print(f"every file of {prepared.bundle.path} is as exported, and fits cell {manifest.cell}")
+
+
+def _print(manifest: Manifest, console: Console) -> None:
+    facts = Table(title=manifest.name, title_justify="left", show_header=False)
+    arms = ", ".join(f"{arm.name} ({arm.robot}, {arm.tool})" for arm in manifest.arms)
+    for name, text in (
+        ("task", manifest.task),
+        ("method", manifest.method),
+        ("made by", manifest.created_by),
+        ("arms", arms),
+        ("policy step", f"{manifest.step_s} s"),
+        ("observation", f"{manifest.observation_size} numbers"),
+        ("subgoals", f"{manifest.goal_size} numbers, {manifest.subgoals}"),
+    ):
+        facts.add_row(name, text)
+    skills = Table("skill", "steps", "graph", title="Skills", title_justify="left")
+    for skill in manifest.skills:
+        skills.add_row(skill.name, str(skill.budget), skill.file)
+    measured = Table(
+        "distribution", "mode", "episodes", "success", title="Measured", title_justify="left"
+    )
+    for row in manifest.measured:
+        measured.add_row(row.distribution, row.mode, str(row.episodes), f"{row.success_rate:.2f}")
+    for table in (facts, skills, measured):
+        console.print(table)

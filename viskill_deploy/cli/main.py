@@ -1,0 +1,50 @@
+"""The `viskill` command.
+
+Exit codes: 0 ran as it should · 1 a required figure was not met · 2 usage · 3 bad data · 4 driver ·
+5 safety stop · 6 missing extra · 70 a bug · 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+# One thread each: the control loop's small matrices only lose time to a pool of them.
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+
+import typer
+
+from viskill_deploy.cli import doctor, dry_run, export, inspect, train
+from viskill_deploy.core.errors import ViskillError
+
+INTERRUPTED = 130
+
+app = typer.Typer(
+    name="viskill",
+    help="Train ViSkill policies and deploy them on the da Vinci Research Kit, safely.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command("dry-run", epilog=dry_run.EXAMPLE)(dry_run.command)
+app.command("inspect", epilog=inspect.EXAMPLE)(inspect.command)
+app.command("doctor", epilog=doctor.EXAMPLE)(doctor.command)
+app.command("train", epilog=train.EXAMPLE)(train.command)
+app.command("export", epilog=export.EXAMPLE)(export.command)
+
+
+def main() -> None:
+    """Runs a command; an error becomes one plain sentence and its exit code."""
+    try:
+        app()
+    except ViskillError as error:
+        print(f"viskill: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        print("viskill: interrupted; the arms were left at rest", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+
+
+if __name__ == "__main__":
+    main()
