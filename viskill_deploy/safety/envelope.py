@@ -100,8 +100,8 @@ class CellEnvelope:
 
 def _arm(cell_path: Path, cell_arm: CellArm) -> ArmEnvelope:
     arm, entry = cell_arm.arm, cell_arm.entry
-    _check_joints(arm)
     _check_gate(arm)
+    _check_joints(arm)
     _check_workspace(cell_path, cell_arm)
     jaw, gate = arm.jaw, arm.gate
     by_kind = [joint.type == "prismatic" for joint in arm.joints]
@@ -153,7 +153,9 @@ def _check_joints(arm: ArmDescription) -> None:
         lower, upper, speed, acceleration, jerk = limits
         low, high = ranges[index]
         _within(path, f"{name}.lower", lower, low, high)
-        _within(path, f"{name}.upper", upper, lower, high)
+        _within(path, f"{name}.upper", upper, low, high)
+        margin = arm.gate.position_margin_m if index == 2 else arm.gate.position_margin_rad
+        _positive(path, f"{name} range less margins", upper - lower - 2.0 * margin, high - low)
         _positive(path, f"{name}.max_velocity", speed, ceilings.MAX_SPEED[index])
         _positive(path, f"{name}.max_acceleration", acceleration, ceilings.MAX_ACCELERATION[index])
         _positive(path, f"{name}.max_jerk", jerk, ceilings.MAX_JERK[index])
@@ -164,14 +166,16 @@ def _check_gate(arm: ArmDescription) -> None:
     path, gate = arm.files[0], arm.gate
     margin_rad, margin_m = ceilings.MIN_POSITION_MARGIN
     first_rad, first_m = ceilings.FIRST_COMMAND
-    _within(path, "gate.position_margin_rad", gate.position_margin_rad, margin_rad, 0.5)
-    _within(path, "gate.position_margin_m", gate.position_margin_m, margin_m, 0.1)
+    _within(path, "gate.position_margin_rad", gate.position_margin_rad, margin_rad, 0.1)
+    _within(path, "gate.position_margin_m", gate.position_margin_m, margin_m, 0.02)
     _within(path, "gate.measured_slack", gate.measured_slack, 0.0, ceilings.MEASURED_SLACK)
     _positive(path, "gate.first_command_rad", gate.first_command_rad, first_rad)
     _positive(path, "gate.first_command_m", gate.first_command_m, first_m)
     _within(
         path, "gate.insertion_past_rcm_m", gate.insertion_past_rcm_m, ceilings.MIN_PAST_RCM_M, 0.2
     )
+    beyond = arm.joints[2].limits[1] - arm.insertion_min_m
+    _positive(path, "insertion range past the cannula", beyond, 1.0)
     slowest = ceilings.MAX_FEEDBACK_PERIOD_S
     _positive(path, "gate.feedback_period_s", gate.feedback_period_s, slowest)
     _positive(arm.files[-1], "jaw.finger_length_m", arm.jaw.finger_length_m, ceilings.MAX_FINGER_M)

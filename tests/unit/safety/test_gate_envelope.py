@@ -1,0 +1,165 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from viskill_deploy.core import data
+from viskill_deploy.core.description import CellDescription, load_cell, load_robot
+from viskill_deploy.core.errors import DataFileError
+from viskill_deploy.safety.envelope import CellEnvelope
+from viskill_deploy.safety.supervisor import Supervisor
+
+CELL = load_cell("bipegtransfer")
+JOINT_NUMBERS = [
+    (index, key)
+    for index, joint in enumerate(CELL.arms[0].arm.joints)
+    for key in type(joint).model_fields
+    if key.startswith(("lower_", "upper_", "max_"))
+]
+JAW_NUMBERS = [
+    "lower_rad",
+    "upper_rad",
+    "max_velocity_rad_s",
+    "max_acceleration_rad_s2",
+    "max_jerk_rad_s3",
+    "finger_length_m",
+]
+GATE_NUMBERS = list(type(CELL.arms[0].arm.gate).model_fields)
+MOTION_NUMBERS = ["tip_speed_m_s", "tip_speed_ceiling_m_s", "floor_m"]
+NONSENSE = [math.nan, math.inf, -math.inf]
+
+
+def with_arm(**changes) -> CellDescription:
+    first = CELL.arms[0]
+    return replace(CELL, arms=(replace(first, arm=replace(first.arm, **changes)), *CELL.arms[1:]))
+
+
+def with_joint(index: int, key: str, value: float) -> CellDescription:
+    joints = list(CELL.arms[0].arm.joints)
+    joints[index] = joints[index].model_copy(update={key: value})
+    return with_arm(joints=tuple(joints))
+
+
+def with_table(table: str, key: str, value: float) -> CellDescription:
+    if table == "motion":
+        motion = CELL.file.motion.model_copy(update={key: value})
+        return replace(CELL, file=CELL.file.model_copy(update={"motion": motion}))
+    old = getattr(CELL.arms[0].arm, table)
+    return with_arm(**{table: old.model_copy(update={key: value})})
+
+
+def refused(cell: CellDescription, period_s: float = 0.004) -> str:
+    with pytest.raises(DataFileError) as error:
+        CellEnvelope.of(cell, period_s)
+    assert "stricter" in str(error.value)
+    return error.value.key
+
+
+def test_the_shipped_thresholds_are_accepted_as_they_are():
+    envelope = CellEnvelope.of(CELL, 0.004)
+    arm = envelope.arms[0]
+    assert arm.max_speed == (1.57, 1.57, 0.2, 18.8, 18.8, 18.8, 6.0)
+    assert arm.max_acceleration == (7.85, 7.85, 1.0, 63.0, 63.0, 63.0, 63.0)
+    assert arm.max_jerk == (157.0, 157.0, 20.0, 1260.0, 1260.0, 1260.0, 1260.0)
+    assert arm.lower[:3] == (-1.588, -0.925025, 0.0)
+    assert arm.upper[:3] == (1.588, 0.925025, 0.24)
+    assert arm.margin == (0.01, 0.01, 0.001, 0.01, 0.01, 0.01)
+    assert arm.first_command == (0.02, 0.02, 0.001, 0.02, 0.02, 0.02)
+    assert arm.insertion_min == pytest.approx(0.0626)
+    assert (arm.measured_slack, arm.feedback_period) == (0.0087, 0.01)
+    assert (envelope.tip_speed, envelope.tip_speed_ceiling) == (0.05, 0.25)
+
+
+@pytest.mark.parametrize("tool", data.names("robots/tools"))
+def test_every_shipped_instrument_is_accepted(tool):
+    robot = "psm_si" if "_42" in tool else "psm_classic"
+    arm = load_robot(robot, tool)
+    first = CELL.arms[0]
+    cell = replace(CELL, arms=(replace(first, arm=arm),))
+    assert CellEnvelope.of(cell, 0.001).arms[0].tool == tool
+
+
+@pytest.mark.parametrize(("index", "key"), JOINT_NUMBERS)
+@pytest.mark.parametrize("factor", [1.05, 1000.0, -1.0, 0.0, *NONSENSE])
+def test_no_joint_limit_gets_looser(index, key, factor):
+    joint = CELL.arms[0].arm.joints[index]
+    value = getattr(joint, key) * factor
+    if key == "lower_m":
+        value = -0.001 if math.isfinite(factor) else factor
+    stricter = key.startswith(("lower", "upper")) and factor == 0.0
+    if stricter or (index > 2 and factor == 1.05 and key.startswith(("lower", "upper"))):
+        return  # zero is inside the range; the ceilings of instruments fit the widest of them
+    assert refused(with_joint(index, key, value)).startswith(joint.name)
+
+
+@pytest.mark.parametrize("key", JAW_NUMBERS)
+@pytest.mark.parametrize("factor", [1000.0, -1.0, *NONSENSE])
+def test_no_jaw_limit_gets_looser(key, factor):
+    if key == "lower_rad" and factor < 0.0:
+        factor = -3.0  # -1 makes a narrower range of this jaw, which is allowed
+    value = getattr(CELL.arms[0].arm.jaw, key) * factor
+    assert refused(with_table("jaw", key, value)).startswith("jaw")
+
+
+@pytest.mark.parametrize("key", GATE_NUMBERS)
+@pytest.mark.parametrize("factor", ["looser", "metres", -1.0, *NONSENSE])
+def test_no_threshold_of_the_gate_gets_looser(key, factor):
+    looser_is_less = key.startswith(("position_margin", "insertion"))
+    if factor == "looser":
+        factor = 0.95 if looser_is_less else 2.1
+    elif factor == "metres":
+        factor = 1000.0
+    value = getattr(CELL.arms[0].arm.gate, key) * factor
+    assert refused(with_table("gate", key, value)) == f"gate.{key}"
+
+
+@pytest.mark.parametrize("key", MOTION_NUMBERS)
+@pytest.mark.parametrize("value", [50.0, -0.05, *NONSENSE])
+def test_no_speed_or_floor_of_the_cell_gets_looser(key, value):
+    assert refused(with_table("motion", key, value)) == f"motion.{key}"
+
+
+def test_the_ceiling_of_the_tip_speed_is_not_under_its_limit():
+    assert refused(with_table("motion", "tip_speed_ceiling_m_s", 0.04)).endswith("ceiling_m_s")
+
+
+def test_stricter_values_are_accepted():
+    assert CellEnvelope.of(with_joint(0, "max_velocity_rad_s", 0.5), 0.004)
+    assert CellEnvelope.of(with_table("gate", "position_margin_rad", 0.05), 0.004)
+    assert CellEnvelope.of(with_table("motion", "tip_speed_m_s", 0.01), 0.004)
+
+
+def test_a_classic_arm_does_not_get_the_range_of_an_si():
+    assert refused(with_joint(0, "upper_rad", 2.9)) == "yaw.upper"
+
+
+@pytest.mark.parametrize("period", [0.0, -0.004, 0.0009, 0.011, *NONSENSE])
+def test_a_period_outside_100_hz_to_1_khz_is_refused(period):
+    assert refused(CELL, period) == "period_s"
+
+
+def test_a_workspace_longer_than_an_insertion_is_refused():
+    first = CELL.arms[0]
+    entry = first.entry.model_copy(update={"workspace_upper_m": (5.0, 0.1, 0.1)})
+    cell = replace(CELL, arms=(replace(first, entry=entry),))
+    assert refused(cell) == "arm.PSM1.workspace"
+
+
+def test_a_base_that_is_no_rigid_transform_is_refused():
+    first = CELL.arms[0]
+    mirrored, far = np.eye(4), np.eye(4)
+    mirrored[0, 0] = 1.1
+    far[0, 3] = 100.0
+    with pytest.raises(DataFileError, match="rigid"):
+        CellEnvelope.of(replace(CELL, arms=(replace(first, T_task_base=mirrored),)), 0.004)
+    assert refused(replace(CELL, arms=(replace(first, T_task_base=far),))).endswith("position_m")
+
+
+def test_a_cell_without_arms_is_refused():
+    with pytest.raises(DataFileError, match="no arm"):
+        Supervisor(replace(CELL, arms=()), 0.004)
+
+
+def test_an_insertion_range_that_ends_in_the_cannula_is_refused():
+    assert refused(with_joint(2, "upper_m", 0.06)) == "insertion range past the cannula"
