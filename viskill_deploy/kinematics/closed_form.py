@@ -184,6 +184,8 @@ def inverse(geometry: PsmGeometry, x: Joints, z: Joints, p: Joints, seed_roll: f
     first: Joints = _NAN
     for branch in BRANCHES:
         q = branch_solution(geometry, x, z, p, branch)
+        if q is _NAN:
+            continue
         roll = nearest_turn(q[3], seed_roll, geometry.lower[3], geometry.upper[3])
         q = (q[0], q[1], q[2], roll, q[4], q[5])
         inside = _on_limits(geometry, q)
@@ -264,7 +266,7 @@ def inverse_batch(
     q[ok] = np.clip(q[ok], lower, upper)
     # Another branch inside the limits is a matter of edges: rare enough to go one by one.
     R6 = poses[:, :3, :3] @ geometry.tip_rotation.T
-    for i in np.flatnonzero(~ok & np.isfinite(q).all(axis=1)):
+    for i in np.flatnonzero(~ok):
         x, z, p = (tuple(v.tolist()) for v in (R6[i, :, 0], R6[i, :, 2], poses[i, :3, 3]))
         try:
             q[i], ok[i] = inverse(geometry, x, z, p, float(seeds[i, ROLL])), True

@@ -97,7 +97,7 @@ class Daqp:
             )
         x, _, flag, info = self._model.solve()
         if flag <= 0:
-            cause = "time" if flag in {-4, -7} else "infeasible"
+            cause = {-1: "infeasible", -4: "time", -7: "time"}.get(flag, "residual")
             raise IkError(cause, f"daqp stopped with flag {flag}; hold and check bounds and port")
         return x, None if rows is None else info["lam"][self._n :]
 
