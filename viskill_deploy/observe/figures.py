@@ -97,7 +97,7 @@ def path_figure(data: RunData, cell: CellDescription) -> Figure:
     }
     scene |= {
         "aspectmode": "data",
-        "camera": {"eye": {"x": 1.45, "y": 0.85, "z": 0.85}, "center": {"z": -0.15}},
+        "camera": {"eye": {"x": 1.45, "y": 0.85, "z": 0.85}, "center": {"z": -0.26}},
     }
     layout = base_layout(560, scene=scene, hovermode="closest")
     return {"data": traces, "layout": layout | {"margin": {"l": 0, "r": 0, "t": 36, "b": 0}}}

@@ -250,7 +250,7 @@ def _start(folder: Path) -> tuple[subprocess.Popen[bytes], int]:
     module = "viskill_deploy.observe.recorder_process"
     try:
         process = subprocess.Popen(
-            [sys.executable, "-m", module, str(folder)],
+            [sys.executable, "-P", "-m", module, str(folder)],
             stdin=reader,
             stdout=subprocess.DEVNULL,
             start_new_session=True,  # a Ctrl-C is for the runtime; the record goes on to the end

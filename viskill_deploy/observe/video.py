@@ -72,7 +72,7 @@ def _attempt(
     recording: Path, path: Path, episode: int | None, timeout_s: float, backend: str
 ) -> tuple[bool, str]:
     """Whether trying another library is of no use, and why there is no video ("": there is)."""
-    command = [sys.executable, "-m", "viskill_deploy.observe.video_process"]
+    command = [sys.executable, "-P", "-m", "viskill_deploy.observe.video_process"]
     command += [str(recording), str(path), "all" if episode is None else str(episode)]
     environment = os.environ | {"MUJOCO_GL": backend, "OPENBLAS_NUM_THREADS": "1"}
     if backend in {"egl", "osmesa"}:
