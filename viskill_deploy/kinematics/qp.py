@@ -7,6 +7,7 @@ answer or hangs: callers check the input before and the answer after.
 
 from __future__ import annotations
 
+import warnings
 from typing import Any, Protocol
 
 import daqp
@@ -143,7 +144,10 @@ class QpsolversDoor:
             self._convert(H), f, G, h, None, None, np.array(lb), np.array(ub)
         )
         try:
-            solution = self._qpsolvers.solve_problem(problem, self._name, **self._options)
+            with warnings.catch_warnings():
+                # What it warns of (no solution, changes to come) ends as an IkError or not at all.
+                warnings.simplefilter("ignore")
+                solution = self._qpsolvers.solve_problem(problem, self._name, **self._options)
         except self._qpsolvers.exceptions.QPError as error:
             raise IkError("infeasible", f"{self._name}: {error}; hold and check limits") from error
         if not solution.found or solution.x is None:

@@ -251,7 +251,8 @@ def test_an_unreachable_pose_is_not_called_solved() -> None:
 
 def test_a_psms_path_is_resolved_by_closed_form_inside_the_plans_limits() -> None:
     solver = IkSolver.for_arm(ARM)
-    path = np.linspace(HOME, np.array(HOME) + [0.2, 0.2, 0.03, 1.0, 0.2, 0.2], 100)
+    end = np.array(HOME) + np.array([0.2, 0.2, 0.03, 1.0, 0.2, 0.2])
+    path = np.linspace(HOME, end, 100)
     np.testing.assert_allclose(solver.resolve(ARM.forward_batch(path), HOME), path, atol=1e-9)
     path[-1, 2] = ARM.upper[2] - 1e-4
     with pytest.raises(NoSolutionError, match="of the plan") as refusal:
