@@ -125,7 +125,7 @@ def _run_skill(
         obs = loop.step(action, skill)
     reached = task.skill_success(task.achieved(skill.name, obs, loop.touched()), goal)
     rows = np.asarray(seen, dtype=np.float32)
-    goals = np.broadcast_to(goal.astype(np.float32), (len(rows), len(goal)))
+    goals = np.tile(goal.astype(np.float32), (len(rows), 1))
     return obs, SkillRecord(skill.name, rows, goals, np.asarray(labels, np.float32), reached)
 
 
