@@ -7,7 +7,7 @@ remote centre at the registered port. While no limit is active the QP returns th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
 from typing import Protocol
 
 import numpy as np
@@ -84,10 +84,9 @@ class Line:
 
     def start(self, state: CellState) -> None:
         """Stands still at the setpoints that the driver holds."""
-        self._reference = tuple(
-            AxisMotion.at_rest((*arm.setpoint_jp, arm.jaw_setpoint_jp)) for arm in state.arms
+        self.place(
+            tuple(AxisMotion.at_rest((*a.setpoint_jp, a.jaw_setpoint_jp)) for a in state.arms)
         )
-        self._commanded = [(m.p[:6], m.v[:6]) for m in self._reference]
         self._motion, self._phase, self._fault, self.rate = None, 0.0, "", 1.0
 
     @property
@@ -121,6 +120,11 @@ class Line:
         return segment.stretch
 
     @property
+    def motion(self) -> Motion | None:
+        """What the line follows at present."""
+        return self._motion
+
+    @property
     def phase(self) -> float:
         """Time of the present motion, s."""
         return self._phase
@@ -141,21 +145,38 @@ class Line:
         """
         if self._fault:
             return Request(None, failure=self._fault)
-        reference = self._next_reference()
-        try:
-            commanded = [self._resolved(i, motion) for i, motion in enumerate(reference)]
-        except IkError as error:
-            return Request(None, failure=f"{error.cause}: {error}")
-        setpoints = tuple(
-            JointSetpoint(q, self._end_velocity(q, motion), motion.p[6], motion.v[6])
-            for (q, _), motion in zip(commanded, reference, strict=True)
-        )
-        self._commanded, self._reference = commanded, reference
-        due = float("inf")
+        due = math.inf
+        reference = self.sample()
         if self._motion is not None and any(any(m.v) for m in reference):
             due = now + max(self._motion.duration_s - self._phase, 0.0) / self.rate
         may_open = waypoint.may_open_jaw if waypoint else ()
+        return self.resolved(reference, due, may_open, holding)
+
+    def resolved(
+        self,
+        reference: tuple[AxisMotion, ...],
+        due: float = math.inf,
+        may_open: tuple[bool, ...] = (),
+        holding: tuple[bool, ...] = (),
+    ) -> Request:
+        """The request for smoothed states of all arms: each goes once more through its QP."""
+        try:
+            commanded = [self._tick(i, motion) for i, motion in enumerate(reference)]
+        except IkError as error:
+            return Request(None, failure=f"{error.cause}: {error}")
+        setpoints = tuple(
+            [
+                JointSetpoint(q, self._end_velocity(q, motion), motion.p[6], motion.v[6])
+                for (q, _), motion in zip(commanded, reference, strict=True)
+            ]
+        )
+        self._commanded, self._reference = commanded, reference
         return Request(setpoints, "", due, may_open, holding)
+
+    def place(self, reference: tuple[AxisMotion, ...]) -> None:
+        """Takes a moving state of all arms for what was commanded last."""
+        self._reference = reference
+        self._commanded = [(m.p[:6], m.v[:6]) for m in reference]
 
     def advance(self, speed_scale: float) -> None:
         """Lets the time base run for one period, as fast as the gate agrees to."""
@@ -165,7 +186,8 @@ class Line:
         else:
             self.rate = min(1.0, self.rate + RECOVERY)
 
-    def _next_reference(self) -> tuple[AxisMotion, ...]:
+    def sample(self) -> tuple[AxisMotion, ...]:
+        """Smoothed state of every arm at the end of the coming period."""
         if self._motion is None:
             return self._reference
         sampled = self._motion.at(self._phase + self.period_s * self.rate)
@@ -177,7 +199,7 @@ class Line:
             for m in sampled
         )
 
-    def _resolved(self, index: int, motion: AxisMotion) -> tuple[Joints, Joints]:
+    def _tick(self, index: int, motion: AxisMotion) -> tuple[Joints, Joints]:
         """One QP: joints of an arm at the end of the period, and mean velocities over it."""
         q, v = self._commanded[index]
         goal = self._arms[index].forward(motion.p[:6])
@@ -207,8 +229,3 @@ def _port(port_in_base: FloatArray) -> PortConstraint | None:
     if not port_in_base.any():
         return None
     return PortConstraint(port_in_base, SHAFT_FRAME, np.array([0.0, 0.0, 1.0]))
-
-
-def setpoint_table(setpoints: Sequence[Sequence[JointSetpoint]]) -> FloatArray:
-    """Positions of many cycles' setpoints, (n, arms, 7)."""
-    return np.array([[(*s.jp, s.jaw) for s in row] for row in setpoints])

@@ -1,0 +1,65 @@
+# `make demo` runs the main job, `make test` passes the tests. Both start from a bare clone.
+PYTHON ?= python3.11
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+BUNDLE ?= policies/bipegtransfer-imitation
+# The CPU suffices for training and tests; name another build of torch here if you have a GPU.
+TORCH  ?= torch==2.13.0
+
+.PHONY: demo test lint unit wheel-check bench figures clean
+
+demo: $(VENV)/.runtime
+	$(BIN)/viskill dry-run $(BUNDLE)
+	@echo "make demo: dry-ran $(BUNDLE) on the simulated cell; the report's path stands above."
+
+test: lint unit
+	@echo "make test: lint, types, import rules, tests and coverage passed; coverage in htmlcov/index.html."
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+unit: $(VENV)/.dev
+	rm -f .coverage .coverage.*
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal --cov --cov-report= -m "not slow"
+	$(BIN)/coverage html -q
+	$(BIN)/coverage report --fail-under=90 | tail -n 25
+	$(BIN)/coverage report --include='viskill_deploy/safety/*' --fail-under=100
+
+# The wheel, alone in an environment of its own without torch, does the main job.
+wheel-check: $(VENV)/.dev
+	rm -rf build/wheel && mkdir -p build/wheel
+	$(BIN)/python -m build --wheel --outdir build/wheel . >build/wheel/build.log
+	$(PYTHON) -m venv build/wheel/env
+	build/wheel/env/bin/pip install -q build/wheel/*.whl
+	cd build/wheel && ! env/bin/python -c "import torch" 2>/dev/null
+	cd build/wheel && env/bin/viskill dry-run bipegtransfer-imitation --no-video --output run
+	@echo "make wheel-check: the wheel dry-ran its bundle without torch; output in build/wheel/run."
+
+# Speed of one control period against pink, in one run.
+bench: $(VENV)/.dev
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/tick.py
+
+# The figures of the README and docs/results.md.
+figures: $(VENV)/.runtime
+	for mode in closed-loop plan; do \
+	  $(BIN)/viskill dry-run $(BUNDLE) --episodes 100 --mode $$mode --no-video --json || exit; done
+	$(BIN)/viskill dry-run $(BUNDLE) --episodes 100 --distribution wide --no-video --json
+	$(BIN)/viskill dry-run $(BUNDLE) --episodes 100 --ik-solver osqp --no-video --json
+
+clean:
+	rm -rf $(VENV) build dist runs htmlcov .coverage* .mypy_cache .ruff_cache .pytest_cache
+
+$(VENV)/bin/pip:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.runtime: $(VENV)/bin/pip pyproject.toml
+	$(BIN)/pip install -q -e .
+	touch $@
+
+$(VENV)/.dev: $(VENV)/.runtime
+	$(BIN)/pip install -q $(TORCH)
+	$(BIN)/pip install -q -e '.[train,dev]'
+	touch $@
