@@ -13,11 +13,12 @@ import jinja2
 from markupsafe import Markup
 
 from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.errors import RecordingError
 from viskill_deploy.observe import figures
 from viskill_deploy.observe.labels import action_label, rule_label
 from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.observe.records import RunData
-from viskill_deploy.observe.summary import Result, facts, margin_rows, skill_rows
+from viskill_deploy.observe.summary import Result, facts, margin_rows, outcome, skill_rows
 from viskill_deploy.observe.video import Video
 
 PLOTS = {
@@ -50,13 +51,12 @@ def write_report(
         video: outcome of the rendering.
         episode: the episode to plot; None plots the first of the recording.
 
+    A recording that cannot be read, or lacks the episode, becomes a note instead of plots.
+
     Returns:
         `path`.
-
-    Raises:
-        RecordingError: the recording cannot be read, or holds no such episode.
     """
-    data = _plotted(recording, result, episode)
+    data, trouble = _plotted(recording, result, episode)
     page = _environment().get_template("report.html.j2")
     html = page.render(
         result=result,
@@ -66,7 +66,7 @@ def write_report(
         episodes=list(result.get("episode_results") or ()),
         about=_about(result, cell, data),
         spoken=_spoken(data),
-        notes=_notes(result, video, data),
+        notes=_notes(result, video, data, trouble),
         plots=_plots(data, cell),
         plotted=_episode_of(data),
         video=_embedded(video),
@@ -76,15 +76,22 @@ def write_report(
     return path
 
 
-def _plotted(recording: Path | None, result: Result, episode: int | None) -> RunData | None:
-    """The episode to plot, or None when there is nothing to plot."""
+def _plotted(
+    recording: Path | None, result: Result, episode: int | None
+) -> tuple[RunData | None, str]:
+    """The episode to plot, and why there is none ("" when there is, or none is asked for)."""
     if recording is None:
-        return None
+        return None, ""
     known = [e["episode"] for e in result.get("episode_results") or () if "episode" in e]
     if episode is None and known:
         episode = known[0]
-    data = read_recording(recording, episode)
-    return data if data.duration_s else None
+    try:
+        data = read_recording(recording, episode)
+    except RecordingError as error:
+        return None, f"no plots: {error}"
+    if not data.duration_s:
+        return None, f"no plots: {recording} holds no motion"
+    return data, ""
 
 
 def _episode_of(data: RunData | None) -> int | None:
@@ -93,7 +100,9 @@ def _episode_of(data: RunData | None) -> int | None:
 
 def _environment() -> jinja2.Environment:
     loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
-    return jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    made = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    made.filters["outcome"] = outcome
+    return made
 
 
 def _plotly() -> str:
@@ -130,8 +139,9 @@ def _spoken(data: RunData | None) -> list[dict[str, Any]]:
     ]
 
 
-def _notes(result: Result, video: Video | None, data: RunData | None) -> list[str]:
+def _notes(result: Result, video: Video | None, data: RunData | None, trouble: str) -> list[str]:
     notes = [str(note) for note in result.get("notes") or ()]
+    notes += [trouble] if trouble else []
     if video is not None and video.note:
         notes.append(video.note)
     if data is not None and not data.complete:

@@ -26,10 +26,17 @@ class Fact:
 
 @dataclass(frozen=True, slots=True)
 class SkillRow:
-    """One skill over all episodes: policy steps (median, largest), successes, largest stretch."""
+    """One skill over all episodes.
+
+    Attributes:
+        runs: how often it ran; judged: how often somebody could tell whether it succeeded.
+        steps_median: policy steps of a run; steps_max: of the longest.
+        stretch_max: largest time of a step over the time that the policy meant.
+    """
 
     name: str
     runs: int
+    judged: int
     successes: int
     steps_median: float
     steps_max: int
@@ -37,10 +44,17 @@ class SkillRow:
 
     @property
     def result(self) -> str:
-        """Done or failed, or how many of how many."""
+        """Done or failed, or how many of how many; a dash where nobody could tell."""
+        if not self.judged:
+            return "–"
         if self.runs == 1:
             return "done" if self.successes else "failed"
-        return f"{self.successes} of {self.runs}"
+        return f"{self.successes} of {self.judged}"
+
+    @property
+    def good(self) -> bool:
+        """Whether no run is known to have failed."""
+        return self.successes == self.judged
 
     @property
     def steps(self) -> str:
@@ -115,11 +129,19 @@ def _skill_row(name: str, runs: Sequence[Mapping[str, Any]]) -> SkillRow:
     return SkillRow(
         name=name,
         runs=len(runs),
+        judged=sum(run.get("success") is not None for run in runs),
         successes=sum(bool(run.get("success")) for run in runs),
         steps_median=statistics.median(steps),
         steps_max=max(steps),
         stretch_max=max(stretches, default=None),
     )
+
+
+def outcome(episode: Mapping[str, Any]) -> str:
+    """How an episode ended: success, failed, or stopped and by what."""
+    if episode.get("stopped_by"):
+        return f"stopped by {rule_label(str(episode['stopped_by']))}"
+    return "success" if episode.get("success") else "failed"
 
 
 def margin_rows(result: Result) -> list[MarginRow]:

@@ -76,7 +76,7 @@ def _skill_table(result: Result) -> Table:
     for name in ("steps", "result", "stretch"):
         table.add_column(name, justify="right")
     for row in skill_rows(result):
-        style = "" if row.successes == row.runs else "red"
+        style = "" if row.good else "red"
         table.add_row(row.name, row.steps, row.result, row.stretch, style=style)
     return table
 

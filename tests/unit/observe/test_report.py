@@ -221,3 +221,29 @@ def test_progress_counts_to_the_end(terminal):
     text = console.file.getvalue()
     assert ("20/20" if terminal else "episode 20 of 20, 9 succeeded") in text
     assert terminal or len(text.splitlines()) == 10
+
+
+def test_a_skill_that_nobody_can_judge_is_neither_done_nor_failed():
+    skills = [{"name": "reach", "steps": 3, "success": None, "stretch_max": None}]
+    (row,) = summary.skill_rows({"episode_results": [{"episode": 0, "skills": skills}]})
+    assert (row.result, row.stretch, row.good) == ("–", "–", True)
+
+
+@pytest.mark.parametrize(
+    ("episode", "words"),
+    [
+        ({"success": True, "stopped_by": ""}, "success"),
+        ({"success": False}, "failed"),
+        ({"success": False, "stopped_by": "S10"}, "stopped by tip speed (S10)"),
+    ],
+)
+def test_an_episode_says_how_it_ended(episode, words):
+    assert summary.outcome(episode) == words
+
+
+def test_an_episode_that_never_moved_is_a_note_not_an_error(bag, tmp_path):
+    path = write_report(tmp_path / "r.html", RESULT, load_cell("bipegtransfer"), bag, episode=8)
+    text = path.read_text(encoding="utf-8")
+    assert "no plots: " in text
+    assert "no episode 8; ask for one of [0, 1]" in text
+    assert "50%" in text
