@@ -1,4 +1,4 @@
-"""The PSM's inverse kinematics in closed form: exact, about a microsecond, no iteration.
+"""The PSM's inverse kinematics in closed form: exact, microseconds, no iteration.
 
 Holds for every arm whose six rows have the PSM's pattern (see `PsmGeometry`). The wrist-yaw axis z6
 passes at the distance a6 from the wrist-pitch axis, which meets the shaft, which meets the remote

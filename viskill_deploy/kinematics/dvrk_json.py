@@ -2,8 +2,9 @@
 
 The dVRK's files know chain, position and effort limits, jaw, tip offset and coupling. What they
 lack (velocity, acceleration and jerk limits, the gate's thresholds, the simulated servo) comes from
-our file for the same generation, told apart by the insertion's offset. Values written as 1.5708 are
-read as exactly pi/2 everywhere (the dVRK's C++ does so for alpha only, which differs by 1.4 um).
+our file for the same generation, told apart by the insertion's offset. An alpha, theta or offset
+written as 1.5708 is read as exactly pi/2 (the dVRK's C++ does so for alpha only, which differs by
+1.4 um); a limit stays as written. Masses and inertias, which some files carry, are not used.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from viskill_deploy.core import data
 from viskill_deploy.core.description import (
@@ -37,8 +38,19 @@ REFERENCE_TOOL = {"Classic": "large_needle_driver_400006", "Si": "large_needle_d
 _COMMENT_OR_STRING = re.compile(r'"(?:\\.|[^"\\])*"|//[^\n]*|/\*.*?\*/', re.DOTALL)
 
 
+INERTIA = ("mass", *(f"c{x}" for x in "xyz"), *(f"I{x}{y}" for x in "xyz" for y in "xyz"))
+AXES = tuple(f"{x}{i}" for x in "xyz" for i in (1, 2, 3))
+
+
 class _Row(Table):
     """One joint of a dVRK file: rad, m, N m or N, as its type says."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_inertia(cls, row: Any) -> Any:
+        if not isinstance(row, dict):
+            return row
+        return {key: value for key, value in row.items() if key not in {*INERTIA, *AXES}}
 
     name: str
     alpha: float
@@ -86,7 +98,7 @@ def strip_comments(text: str) -> str:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """The object in a dVRK JSON file, 1.5708 read as pi/2, dashes in top-level keys underscored.
+    """The object in a dVRK JSON file, dashes in its top-level keys read as underscores.
 
     Raises:
         DataFileError: unreadable, no JSON, or no object.
@@ -97,18 +109,12 @@ def read_json(path: Path) -> dict[str, Any]:
         raise DataFileError(path, "", f"cannot be read as JSON ({error}); correct it") from error
     if not isinstance(content, dict):
         raise DataFileError(path, "", "holds no JSON object; give a dVRK arm or instrument file")
-    return {key.replace("-", "_"): _exact(value) for key, value in content.items()}
+    return {key.replace("-", "_"): value for key, value in content.items()}
 
 
-def _exact(value: Any) -> Any:
-    """`value` with every 1.5708 in it as pi/2."""
-    if isinstance(value, dict):
-        return {key: _exact(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_exact(item) for item in value]
-    if isinstance(value, float) and abs(value) == WRITTEN_QUARTER_TURN:
-        return math.copysign(math.pi / 2, value)
-    return value
+def _exact(angle: float) -> float:
+    """`angle`, or a quarter turn where it is written as 1.5708."""
+    return math.copysign(math.pi / 2, angle) if abs(angle) == WRITTEN_QUARTER_TURN else angle
 
 
 def robot_from_json(path: Path) -> RobotFile:
@@ -186,8 +192,13 @@ def _joints(path: Path, chain: _Chain, base: list[dict[str, Any]]) -> list[dict[
         unit, effort = ("m", "n") if row.type == "prismatic" else ("rad", "nm")
         rows.append(
             ours
-            | {"alpha_rad": row.alpha, "a_m": row.A, "theta_rad": row.theta, "d_m": row.D}
-            | {f"offset_{unit}": row.offset, f"lower_{unit}": row.qmin, f"upper_{unit}": row.qmax}
+            | {"alpha_rad": _exact(row.alpha), "a_m": row.A}
+            | {"theta_rad": _exact(row.theta), "d_m": row.D}
+            | {
+                f"offset_{unit}": _exact(row.offset),
+                f"lower_{unit}": row.qmin,
+                f"upper_{unit}": row.qmax,
+            }
             | {"dynamics": (ours["dynamics"] or {}) | {f"effort_{effort}": row.ftmax}}
         )
     return rows

@@ -127,7 +127,7 @@ class IkSolver:
         self._task, self._task_rhs = self._stack[:6], self._rhs[:6]
         self._weights = np.array([1 / lever_m] * 3 + [orientation_cost] * 3)
         self._row_weights = np.repeat(self._weights[:, None], n, axis=1)
-        self._dt, self._per_step = math.nan, self._weights
+        self._rate, self._rated_weights = math.nan, self._weights
         self._arm: Arm | None = None
 
     @classmethod
@@ -170,7 +170,7 @@ class IkSolver:
             raise IkError("not-finite", f"dt is {dt}; give the positive length of the tick in s")
         now, before = self._floats(q, "q"), self._floats(v_prev, "v_prev")
         lower, upper = self.limits.velocity_box(now, before, dt)
-        self._place_task(np.array(now), as_se3(T_target), dt)
+        self._place_task(np.array(now), as_se3(T_target), self._gain / dt)
         if v_feedforward is not None:
             twist = np.asarray(v_feedforward, dtype=np.float64)
             if twist.shape != (6,) or not np.isfinite(twist).all():
@@ -250,15 +250,15 @@ class IkSolver:
             raise IkError("not-finite", f"{name} is {floats}; check where it comes from")
         return floats
 
-    def _place_task(self, q: FloatArray, target: pin.SE3, dt: float) -> None:
-        """Writes the task's rows and right-hand side for a configuration."""
+    def _place_task(self, q: FloatArray, target: pin.SE3, rate: float) -> None:
+        """Writes the task's rows for a configuration, the error to be closed at `rate` per s."""
         pin.computeJointJacobians(self.model, self._data, q)
         tip = pin.updateFramePlacement(self.model, self._data, self._frame)
         J = pin.getFrameJacobian(self.model, self._data, self._frame, pin.LOCAL)
         np.multiply(self._row_weights, J, out=self._task)
-        if dt != self._dt:
-            self._dt, self._per_step = dt, self._weights * (-self._gain / dt)
-        np.multiply(self._per_step, pin.log6(tip.actInv(target)).vector, out=self._task_rhs)
+        if rate != self._rate:
+            self._rate, self._rated_weights = rate, self._weights * -rate
+        np.multiply(self._rated_weights, pin.log6(tip.actInv(target)).vector, out=self._task_rhs)
 
     def _solve(
         self, lower: list[float], upper: list[float], dt: float

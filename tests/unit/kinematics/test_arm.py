@@ -115,12 +115,13 @@ def test_inverse_takes_the_turn_of_roll_nearest_to_the_seed(seed_roll: float) ->
     assert roll == pytest.approx(min(turns, key=lambda turn: abs(turn - seed_roll)))
 
 
-def test_a_pose_with_the_wrist_on_the_remote_centre_is_refused_as_degenerate() -> None:
-    pose = np.eye(4)
-    pose[:3, 3] = 0.0
+@pytest.mark.parametrize("insertion", [0.0156, 0.0156 - 0.0091])
+def test_wrist_or_tip_on_the_remote_centre_is_refused_as_degenerate(insertion: float) -> None:
+    pose = LND.forward((0.0, 0.0, insertion, 0.3, 0.0, 0.2))
     with pytest.raises(NoSolutionError, match="remote centre") as refusal:
         LND.inverse(pose, SEED)
     assert refusal.value.joint == -1
+    assert math.isnan(refusal.value.excess)
 
 
 def test_rcm_error_is_zero_at_the_mechanical_centre_and_two_millimetres_beside_it() -> None:

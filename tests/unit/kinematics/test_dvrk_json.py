@@ -93,11 +93,20 @@ def test_a_json_tool_fits_a_named_arm_and_a_toml_path_is_taken(tmp_path: Path) -
 
 def test_an_si_arm_is_known_by_its_insertion_and_gets_si_numbers(tmp_path: Path) -> None:
     content = arm_content()
-    content["DH"]["joints"][2]["offset"] = -0.4826
+    inertia = {"mass": 0.1, "cx": 0.0, "Ixx": 1e-4, "x1": 1.0, "z3": 1.0}
+    content["DH"]["joints"][2].update(offset=-0.4826, **inertia)
     arm = load_arm(write(tmp_path / "PSM-Si.json", content), tool="large_needle_driver_420006")
     assert arm.description.joints[2].offset == -0.4826
     with pytest.raises(DataFileError, match="does not fit"):
         load_arm(tmp_path / "PSM-Si.json", tool="large_needle_driver_400006")
+
+
+def test_a_limit_written_as_1_5708_stays_as_written(tmp_path: Path) -> None:
+    content = tool_content()
+    content["DH"]["joints"][2].update(qmin=-1.5708, qmax=1.5708)
+    arm = load_arm("psm_classic", tool=write(tmp_path / "MBF.json", content))
+    assert arm.upper[5] == 1.5708
+    assert arm.description.joints[5].offset == -math.pi / 2
 
 
 def test_comments_go_and_what_stands_in_strings_stays() -> None:

@@ -241,6 +241,11 @@ def test_a_joint_outside_its_limits_is_brought_back_inside() -> None:
     assert q[0] <= solver.limits.upper[0] + 1e-9
 
 
+def test_a_gentle_gain_does_not_slow_the_solution_of_a_single_pose() -> None:
+    q = np.array(HOME) + 0.02
+    assert IkSolver.for_arm(ARM, gain=0.1).solve(ARM.forward(q), HOME).iterations <= 6
+
+
 def test_an_unreachable_pose_is_not_called_solved() -> None:
     q = np.array(HOME)
     q[2] = ARM.upper[2] + 0.05

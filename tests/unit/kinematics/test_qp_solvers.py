@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import qpsolvers
 
 from viskill_deploy.core.errors import IkError
 from viskill_deploy.kinematics import qp
@@ -75,3 +76,15 @@ def test_osqp_takes_a_time_limit() -> None:
     np.testing.assert_allclose(
         x, make_solver("daqp", 6, 0, 0.0).solve(H, f, lower, upper, None)[0], atol=1e-7
     )
+
+
+def test_what_qpsolvers_raises_becomes_a_named_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
+    H, f, lower, upper = random_problem(6, 1)
+
+    def fail(*_: object, **__: object) -> None:
+        raise qpsolvers.exceptions.SolverError("gave up")
+
+    monkeypatch.setattr(qpsolvers, "solve_problem", fail)
+    with pytest.raises(IkError, match="gave up") as refusal:
+        make_solver("osqp", 6, 0, 0.0).solve(H, f, lower, upper, None)
+    assert refusal.value.cause == "infeasible"
