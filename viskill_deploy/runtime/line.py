@@ -33,8 +33,12 @@ OFF_REFERENCE = 1e-3
 """Rad or m. A segment starts from the commanded joints instead of the last segment's end when the
 QP was held back from it by more than this."""
 
-RECOVERY = 0.02
-"""Part by which the time base speeds up again in each period after the gate asked for less."""
+RATE_CHANGE_PER_S = 1.0
+"""How fast the time base may change its rate: a jump in rate would be a jump in joint speed. At full
+speed this adds 1.4 rad/s² to a joint, a fifth of what the gate allows."""
+
+AT_REST = 1e-6
+"""Rad/s or m/s below which an axis counts as standing still."""
 
 SLOWEST = 0.1
 """Slowest rate of the time base that SCALE requests lead to."""
@@ -147,7 +151,7 @@ class Line:
             return Request(None, failure=self._fault)
         due = math.inf
         reference = self.sample()
-        if self._motion is not None and any(any(m.v) for m in reference):
+        if self._motion is not None and any(abs(v) > AT_REST for m in reference for v in m.v):
             due = now + max(self._motion.duration_s - self._phase, 0.0) / self.rate
         may_open = waypoint.may_open_jaw if waypoint else ()
         return self.resolved(reference, due, may_open, holding)
@@ -181,10 +185,11 @@ class Line:
     def advance(self, speed_scale: float) -> None:
         """Lets the time base run for one period, as fast as the gate agrees to."""
         self._phase += self.period_s * self.rate
+        change = RATE_CHANGE_PER_S * self.period_s
         if speed_scale < 1.0:
-            self.rate = max(SLOWEST, self.rate * speed_scale)
+            self.rate = max(SLOWEST, self.rate * speed_scale, self.rate - change)
         else:
-            self.rate = min(1.0, self.rate + RECOVERY)
+            self.rate = min(1.0, self.rate + change)
 
     def sample(self) -> tuple[AxisMotion, ...]:
         """Smoothed state of every arm at the end of the coming period."""
