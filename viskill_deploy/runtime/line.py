@@ -34,8 +34,8 @@ OFF_REFERENCE = 1e-3
 QP was held back from it by more than this."""
 
 RATE_CHANGE_PER_S = 1.0
-"""How fast the time base may change its rate: a jump in rate would be a jump in joint speed. At full
-speed this adds 1.4 rad/s² to a joint, a fifth of what the gate allows."""
+"""How fast the time base may change its rate: a jump in rate would be a jump in joint speed. At
+full speed this adds 1.4 rad/s² to a joint, a fifth of what the gate allows."""
 
 AT_REST = 1e-6
 """Rad/s or m/s below which an axis counts as standing still."""
@@ -195,10 +195,16 @@ class Line:
         """Smoothed state of every arm at the end of the coming period."""
         if self._motion is None:
             return self._reference
-        sampled = self._motion.at(self._phase + self.period_s * self.rate)
-        if self.rate == 1.0:
+        time = self._phase + self.period_s * self.rate
+        sampled, r = self._motion.at(time), self.rate
+        if r == 1.0:
             return sampled
-        r = self.rate
+        over = time - self._motion.duration_s
+        if over > 0.0:  # a part of a period is left: go on as fast, the next segment starts there
+            sampled = tuple(
+                AxisMotion(tuple(p + v * over for p, v in zip(m.p, m.v, strict=True)), m.v, m.a)
+                for m in sampled
+            )
         return tuple(
             AxisMotion(m.p, tuple(r * x for x in m.v), tuple(r * r * x for x in m.a))
             for m in sampled
