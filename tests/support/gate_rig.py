@@ -48,6 +48,7 @@ class Rig:
         self.now, self.ticks = 1.0, 0
         self.consent, self.estop = False, False
         self.held = tuple(JointSetpoint(home(a), (0.0,) * 6, 0.3, 0.0) for a in self.cell.arms)
+        self.before = self.held
         self.broken: dict[int, dict[str, Any]] = {}
 
     def state(self) -> CellState:
@@ -88,6 +89,7 @@ class Rig:
         self.now += self.period if dt is None else dt
         self.ticks += 1
         decision = self.gate.check(self.state(), Request(setpoints, **request), self.now)
+        self.before = self.held
         if decision.setpoints:
             self.held = tuple(checked.setpoint for checked in decision.setpoints)
         return decision
@@ -95,6 +97,15 @@ class Rig:
     def stay(self) -> tuple[JointSetpoint, ...]:
         """Setpoints that ask to stay where the arms are."""
         return tuple(JointSetpoint(held.jp, (0.0,) * 6, held.jaw, 0.0) for held in self.held)
+
+    def going_on(self) -> tuple[JointSetpoint, ...]:
+        """Setpoints that go on with the last step of every joint."""
+        return tuple(
+            JointSetpoint(
+                tuple(2.0 * q - p for q, p in zip(new.jp, old.jp, strict=True)), new.jv, new.jaw, 0.0
+            )
+            for new, old in zip(self.held, self.before, strict=True)
+        )
 
     def moved(self, arm: int, joint: int, by: float) -> tuple[JointSetpoint, ...]:
         """The setpoints held, one joint (6: jaw) of one arm displaced."""
