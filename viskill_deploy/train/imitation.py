@@ -41,18 +41,19 @@ class Settings:
         updates: gradient steps of each skill after each DAgger round.
         final_updates: gradient steps of each skill after the last one.
         batch: states in a gradient step.
-        disturbance: of the driver's actions, see `Request`.
+        disturbance: largest one of the driver's actions, see `Request`; half of the episodes have
+            none.
         script_share: part of the skills that the script drives in DAgger rounds.
         distributions: layouts are drawn from these in turn.
         processes: to share the work among.
     """
 
     demonstrations: int = 60
-    rounds: int = 8
+    rounds: int = 6
     episodes: int = 40
     demonstration_updates: int = 3000
-    updates: int = 2000
-    final_updates: int = 15000
+    updates: int = 1500
+    final_updates: int = 8000
     batch: int = 256
     disturbance: float = 0.15
     script_share: float = 0.2
@@ -113,7 +114,7 @@ def _round(
     results = list(pool.map(fit, *columns) if pool else map(fit, *columns))
     names = [skill.name for skill in task.skills]
     weights = {name: result[0] for name, result in zip(names, results, strict=True)}
-    driven = [r for r in records if all(r.request.learner_drives)]
+    driven = [r for r in records if all(r.request.learner_drives) and not r.request.disturbance]
     line: dict[str, object] = {
         "round": number,
         "episodes": len(records),
@@ -135,7 +136,7 @@ def _requests(task: Task, seed: int, number: int, settings: Settings) -> Iterato
             (seed, number, episode),
             settings.distributions[episode % len(settings.distributions)],
             tuple((learner & (number > 0)).tolist()),
-            settings.disturbance * float(rng.random()),
+            settings.disturbance * max(0.0, float(rng.uniform(-1.0, 1.0))),
         )
 
 
@@ -174,8 +175,8 @@ def _check_same(state: Checkpoint, task: str, seed: int, settings: Settings, out
 
 def _sentence(line: dict[str, object], rounds: int) -> str:
     success = line["learner_success"]
-    seen = "script drives" if success is None else f"learner succeeds in {success:.0%}"
-    return (
-        f"round {line['round']}/{rounds}: {seen} of {line['learner_episodes']} episodes it drove "
-        f"alone, loss {line['loss']}, {line['seconds']} s"
-    )
+    seen = "the script drives"
+    if success is not None:
+        seen = f"the learner, alone and undisturbed, succeeds in {success:.0%}"
+        seen += f" of {line['learner_episodes']}"
+    return f"round {line['round']}/{rounds}: {seen}; loss {line['loss']}; {line['seconds']} s"

@@ -26,6 +26,7 @@ TINY = Settings(
     final_updates=5,
     batch=16,
     script_share=0.0,
+    disturbance=0.0,
     processes=1,
 )
 
