@@ -4,6 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from viskill_deploy.core.types import FloatArray, ObjectPose, Scene
 from viskill_deploy.motion.waypoints import downward_pose
@@ -124,3 +126,30 @@ def test_the_script_does_not_change_its_mind_about_the_same_state() -> None:
     assert np.array_equal(actions[0], actions[1])
     assert np.array_equal(actions[0], actions[2])
     assert np.abs(actions[0]).max() <= 1.0
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    skill=st.sampled_from(["grasp", "handover", "release"]),
+)
+def test_whatever_is_seen_the_script_asks_for_less_than_9_mm_and_30_degrees(
+    seed: int, skill: str
+) -> None:
+    rng = np.random.default_rng(seed)
+    obs, goal = rng.uniform(-0.2, 0.2, 35), rng.uniform(-0.2, 0.2, 8)
+    obs[[3, 4, 5, 10, 11, 12, 26, 27, 28, 32, 33, 34]] = rng.uniform(-math.pi, math.pi, 12)
+    obs[[6, 13]] = rng.uniform(-0.1, 0.8, 2)
+    action = TASK.scripted_action(skill, obs, goal).reshape(2, 5)
+    assert np.isfinite(action).all()
+    assert np.abs(action).max() <= 1.0
+    assert np.linalg.norm(action[:, :3], axis=1).max() * TASK.action.displacement_m <= 0.009
+
+
+def test_the_script_never_opens_a_jaw_that_its_skill_may_not_open() -> None:
+    handover = next(skill for skill in TASK.skills if skill.name == "handover")
+    assert handover.may_open_jaw == (False, True)
+    obs = TASK.observe(start(), [0.2, 0.6], scene(0.0, 0.0, 0.04))
+    obs[0:3] = obs[23:26] + np.array([0.0, 0.0, 0.0132])  # PSM1 holds the block
+    goal = np.array([0.0, 0.0, 0.07, 0.01, 0.02, 0.05, 1.0, 0.0])
+    assert TASK.scripted_action("handover", obs, goal)[4] < 0

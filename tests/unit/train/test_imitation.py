@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from viskill_deploy.bundle.format import check_fits, load_bundle
-from viskill_deploy.core.errors import TrainingError
+from viskill_deploy.core.errors import MotionError, TrainingError
 from viskill_deploy.sim.closed_loop import ClosedLoop
 from viskill_deploy.sim.tasks import load_task
 from viskill_deploy.train import imitation
@@ -140,8 +140,23 @@ def test_the_script_scores_full_marks() -> None:
 def test_episodes_do_not_depend_on_who_ran_before_or_beside_them() -> None:
     requests = [Request("bipegtransfer", (1, i), "wide", (False,) * 3, 0.1) for i in range(2)]
     alone = run_episode(ClosedLoop(TASK), requests[1], {})
-    with workers(1) as pool:
-        together = run_episodes(requests, {}, pool)[1]
-    for one, other in zip(alone.skills, together.skills, strict=True):
-        assert np.array_equal(one.obs, other.obs)
-        assert np.array_equal(one.action, other.action)
+    for processes in (1, 2):
+        with workers(processes) as pool:
+            together = run_episodes(requests, {}, pool)[1]
+        for one, other in zip(alone.skills, together.skills, strict=True):
+            assert np.array_equal(one.obs, other.obs)
+            assert np.array_equal(one.action, other.action)
+
+
+def test_an_episode_that_no_motion_can_follow_ends_without_success(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    loop = ClosedLoop(TASK)
+
+    def refuses(*_: object) -> None:
+        raise MotionError("no motion")
+
+    monkeypatch.setattr(loop, "plan", refuses)
+    record = run_episode(loop, Request("bipegtransfer", (1,), "wide", (False,) * 3), {})
+    assert record.skills == ()
+    assert not record.success
