@@ -27,6 +27,7 @@ from viskill_deploy.kinematics.model import TIP_FRAME
 from viskill_deploy.kinematics.optimality import (
     RESIDUAL_TOLERANCE,
     check_rows,
+    is_free_minimum,
     onto_box,
     optimality,
 )
@@ -128,6 +129,7 @@ class IkSolver:
         self._weights = np.array([1 / lever_m] * 3 + [orientation_cost] * 3)
         self._row_weights = np.repeat(self._weights[:, None], n, axis=1)
         self._rate, self._rated_weights = math.nan, self._weights
+        self._nothing_active = (0,) * n
         self._arm: Arm | None = None
 
     @classmethod
@@ -275,22 +277,22 @@ class IkSolver:
                 rows = (rate, *self._port.band(offset, dt))
         H, f = self._stack.T.dot(self._stack), self._rhs.dot(self._stack)
         x, multipliers = self._solver.solve(H, f, lower, upper, rows)
-        answer = x.tolist()
-        v = onto_box(answer, lower, upper)
-        if v is not answer:
-            x = np.array(v)
-        gradient = H.dot(x) + f
+        v, gradient = x.tolist(), H.dot(x) + f
         if rows is not None and multipliers is not None:
-            check_rows(rows, multipliers, x)
             gradient += multipliers.dot(rows[0])
-        residual, active = optimality(v, gradient.tolist(), lower, upper)
-        if residual > RESIDUAL_TOLERANCE:
-            residual /= 1.0 + float(np.abs(f).max())
-            if not residual <= RESIDUAL_TOLERANCE:
-                raise IkError(
-                    "residual", f"the solver's answer is not optimal ({residual:.2g}); try another"
-                )
-        return v, residual, active
+            check_rows(rows, multipliers, x)
+        slopes = gradient.tolist()
+        if is_free_minimum(v, slopes, lower, upper):
+            return v, max(map(abs, slopes)), self._nothing_active
+        inside = onto_box(v, lower, upper)
+        slopes = (gradient + H.dot(np.array(inside) - x)).tolist()
+        residual, active = optimality(inside, slopes, lower, upper)
+        residual /= 1.0 + float(np.abs(f).max())
+        if not residual <= RESIDUAL_TOLERANCE:
+            raise IkError(
+                "residual", f"the solver's answer is not optimal ({residual:.2g}); try another"
+            )
+        return inside, residual, active
 
     def _within_limits(self, q: FloatArray) -> FloatArray:
         """`q` (N, n) if inside these limits, which may be tighter than the arm's own."""

@@ -114,18 +114,37 @@ class JointLimits:
                 if not -speed - SPEED_SLACK <= v <= speed + SPEED_SLACK:
                     raise _too_fast(len(lower), v, speed)
                 most, least = min(most, speed), max(least, -speed)
+            # Far from both limits, stopping needs less room than there is: no root to take.
+            fastest = most if most > -least else -least
+            needed = fastest * (dt + fastest / (2.0 * acceleration))
             up, down = high - p, p - low
-            square, double = change * change, 2.0 * acceleration
-            # The root of v dt + v^2 / 2a = room; outside the limits, back in one step.
-            stop = sqrt(square + double * up) - change if up > 0.0 else up / dt
-            if stop < most:
-                most = stop if stop > least else _braking(len(lower), least, dt, up)
-            stop = sqrt(square + double * down) - change if down > 0.0 else down / dt
-            if -stop > least:
-                least = -stop if -stop < most else -_braking(len(lower), -most, dt, down)
+            if up < needed:
+                stop = stopping_speed(up, change, acceleration, dt)
+                if stop < most:
+                    most = stop if stop > least else _braking(len(lower), least, dt, up)
+            if down < needed:
+                stop = stopping_speed(down, change, acceleration, dt)
+                if -stop > least:
+                    least = -stop if -stop < most else -_braking(len(lower), -most, dt, down)
             upper.append(most)
             lower.append(least)
         return lower, upper
+
+
+def stopping_speed(room: float, change: float, acceleration: float, dt: float) -> float:
+    """The largest v with v dt + v^2 / 2a <= room: from it the joint can stop in its room.
+
+    Outside the limits it is negative: back in one step.
+
+    Args:
+        room: distance to the limit, rad or m.
+        change: of the speed in one step, acceleration times dt.
+        acceleration: that the joint has.
+        dt: length of a step, s.
+    """
+    if room <= 0.0:
+        return room / dt
+    return sqrt(change * change + 2.0 * acceleration * room) - change
 
 
 def _braking(joint: int, speed: float, dt: float, room: float) -> float:

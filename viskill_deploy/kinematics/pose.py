@@ -6,7 +6,6 @@ it unseen: every pose from outside passes here first.
 
 from __future__ import annotations
 
-import math
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -22,6 +21,9 @@ Pose: TypeAlias = pin.SE3 | npt.ArrayLike
 ORTHONORMAL_TOLERANCE = 1e-6
 """How far R^T R of a pose may be from identity: float32 policies reach 1e-7."""
 
+SKEW_TOLERANCE = ORTHONORMAL_TOLERANCE**2
+LAST_ROW = [0.0, 0.0, 0.0, 1.0]
+
 Rows: TypeAlias = tuple[Joints, Joints, Joints]
 
 
@@ -35,20 +37,31 @@ def split(pose: Pose) -> tuple[Rows, Joints]:
     if matrix.shape != (4, 4):
         raise KinematicsError(f"the pose has shape {matrix.shape}; give an SE3 or a 4x4 array")
     (a, b, c, x), (d, e, f, y), (g, h, i, z), last = matrix.tolist()
-    if not math.isfinite(a + b + c + d + e + f + g + h + i + x + y + z):
-        raise IkError("not-finite", "the pose holds a number that is not finite; check its source")
-    skew = max(
-        abs(a * a + b * b + c * c - 1.0),
-        abs(d * d + e * e + f * f - 1.0),
-        abs(a * d + b * e + c * f),
-        # The third row must be the cross product of the first two: this refuses mirrors too.
-        abs(b * f - c * e - g) + abs(c * d - a * f - h) + abs(a * e - b * d - i),
+    # Unit first rows, at right angles, and the third their cross product: this refuses mirrors too.
+    # x - x is 0 for a number and NaN for infinity and NaN, which no comparison lets through.
+    skew = (
+        (a * a + b * b + c * c - 1.0) ** 2
+        + (d * d + e * e + f * f - 1.0) ** 2
+        + (a * d + b * e + c * f) ** 2
+        + (b * f - c * e - g) ** 2
+        + (c * d - a * f - h) ** 2
+        + (a * e - b * d - i) ** 2
+        + (x - x)
+        + (y - y)
+        + (z - z)
     )
-    if skew > ORTHONORMAL_TOLERANCE or last != [0.0, 0.0, 0.0, 1.0]:
-        raise KinematicsError(
-            "the pose is no rigid transform; give a proper rotation over a last row of 0 0 0 1"
-        )
+    if not (skew <= SKEW_TOLERANCE and last == LAST_ROW):
+        raise _refusal(matrix)
     return ((a, b, c), (d, e, f), (g, h, i)), (x, y, z)
+
+
+def _refusal(matrix: FloatArray) -> KinematicsError:
+    """Why a 4x4 array is no pose."""
+    if not np.isfinite(matrix).all():
+        return IkError("not-finite", "the pose holds a number that is not finite; check its source")
+    return KinematicsError(
+        "the pose is no rigid transform; give a proper rotation over a last row of 0 0 0 1"
+    )
 
 
 def as_se3(pose: Pose) -> pin.SE3:

@@ -8,9 +8,11 @@ answer or hangs: callers check the input before and the answer after.
 from __future__ import annotations
 
 import warnings
+from operator import le
 from typing import Any, Protocol
 
 import daqp
+import eigenpy  # type: ignore[import-untyped] # comes with pinocchio
 import numpy as np
 
 from viskill_deploy.core.errors import IkError, KinematicsError
@@ -57,6 +59,9 @@ class QpSolver(Protocol):
 class Daqp:
     """daqp with its workspace kept: an active-set solver, exact and the fastest for our sizes.
 
+    The empty active set is tried first, by Cholesky: where no bound is in the way the minimiser
+    without bounds is the answer, and daqp's own workspace need not be filled.
+
     Args:
         joints: number of variables.
         rows: number of general rows.
@@ -66,6 +71,7 @@ class Daqp:
 
     def __init__(self, joints: int, rows: int, time_limit_s: float = 0.0) -> None:
         self._n = joints
+        self._cholesky = eigenpy.LLT(joints)
         self._model = daqp.Model()
         self._model.setup(
             np.eye(joints),
@@ -90,6 +96,11 @@ class Daqp:
     ) -> tuple[FloatArray, FloatArray | None]:
         """See `QpSolver.solve`."""
         if rows is None:
+            self._cholesky.compute(H)
+            x = -self._cholesky.solve(f)
+            free = x.tolist()
+            if all(map(le, lb, free)) and all(map(le, free, ub)):
+                return x, None
             self._model.update(H, f, None, np.array(ub), np.array(lb))
         else:
             A, low, high = rows

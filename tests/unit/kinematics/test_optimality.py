@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from viskill_deploy.core.errors import IkError
-from viskill_deploy.kinematics.optimality import check_rows, onto_box, optimality
+from viskill_deploy.kinematics.optimality import check_rows, is_free_minimum, onto_box, optimality
 
 
 def test_a_free_joint_with_no_slope_is_optimal() -> None:
@@ -36,8 +36,26 @@ def test_the_worst_joint_is_reported() -> None:
 
 
 def test_what_lies_in_the_box_is_left_as_it_is() -> None:
-    v = [0.0, 0.5, 1.0]
-    assert onto_box(v, [0.0] * 3, [1.0] * 3) is v
+    assert onto_box([0.0, 0.5, 1.0], [0.0] * 3, [1.0] * 3) == [0.0, 0.5, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("x", "slope", "free"),
+    [
+        (0.5, 0.0, True),
+        (1.0, 0.0, True),
+        (0.5, 1e-3, False),
+        (0.5, -1e-3, False),
+        (1.1, 0.0, False),
+        (-0.1, 0.0, False),
+        (math.nan, 0.0, False),
+        (0.5, math.nan, False),
+    ],
+)
+def test_a_free_minimum_lies_in_the_box_and_has_no_slope(
+    x: float, slope: float, free: bool
+) -> None:
+    assert is_free_minimum([0.5, x], [0.0, slope], [0.0] * 2, [1.0] * 2) is free
 
 
 def test_what_is_out_by_rounding_is_put_on_the_bound() -> None:
