@@ -35,14 +35,16 @@ class ActionSpec:
         displacement_m: length of 1.0 on one axis.
         max_displacement_m: the displacement vector is shortened to this.
         rotation_rad: yaw about the task frame's z for 1.0.
-        jaw_open_rad: opening for a jaw action >= 0; below 0 the jaw closes to the grip angle.
+        jaw_open_rad: opening for a jaw action >= 0; below 0 the jaw closes to the grip angle. Wide
+            enough for a wall of a block, and no wider: at 0.6 the finger inside the hole met the
+            peg on its way down and was held back by up to 5 mm.
     """
 
     reference: Literal["setpoint", "measured"] = "setpoint"
     displacement_m: float = 0.010
     max_displacement_m: float = 0.009
     rotation_rad: float = math.pi / 6
-    jaw_open_rad: float = 0.6
+    jaw_open_rad: float = 0.5
 
 
 def downward_pose(position: Sequence[float] | FloatArray, yaw: float) -> FloatArray:

@@ -163,7 +163,9 @@ class Session:
             self.driver.servo_jp(decision.setpoints)
         except DriverError:
             self.gate.report_fault("S24", now)
-        mode, verdicts, tips = decision.mode, decision.verdicts, self.tips(state)
+        mode, verdicts = decision.mode, decision.verdicts
+        # a faulty arm may report numbers that have no pose
+        tips = self.tips(state) if decision.action < Action.FAULT else None
         self.recorder.cycle(now, state, request, sent, decision.action, verdicts, mode, tips)
         self._record_scene(now)
         self.ledger.cycle(sent, decision.action, decision.verdicts, decision.margins)
