@@ -1,7 +1,7 @@
 """The scripted controller of BiPegTransfer: a function of observation and subgoal, without memory.
 
 Which phase a skill is in is read off what is seen: where the arms stand to the grasp frames and how
-far the jaws are open. A jaw on the block's wall stands at about 0.2 rad, an open one at 0.6, an
+far the jaws are open. A jaw on the block's wall stands at about 0.2 rad, an open one at 0.5, an
 empty closed one at 0.
 """
 
