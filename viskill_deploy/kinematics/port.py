@@ -59,8 +59,8 @@ class PortConstraint:
     def across(self) -> FloatArray:
         """Two unit vectors across the shaft and each other, in the shaft's frame, (2, 3)."""
         direction = self.axis / np.linalg.norm(self.axis)
-        helper = np.eye(3)[int(np.abs(direction).argmin())]
-        first = np.cross(direction, helper)
+        other = np.eye(3)[int(np.abs(direction).argmin())]
+        first = np.cross(direction, other)
         first /= np.linalg.norm(first)
         return np.stack([first, np.cross(direction, first)])
 

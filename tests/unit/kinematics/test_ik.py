@@ -283,3 +283,9 @@ def test_models_and_options_that_do_not_fit_are_refused() -> None:
         IkSolver.for_arm(ARM, gain=1.5)
     with pytest.raises(KinematicsError, match="must be 6 numbers"):
         IkSolver.for_arm(ARM).step((0.0,) * 5, STILL, ARM.forward(HOME), TICK_S)
+
+
+def test_too_few_iterations_are_not_called_solved() -> None:
+    with pytest.raises(IkError, match="1 iterations") as refusal:
+        IkSolver.for_arm(ARM).solve(ARM.forward(np.array(HOME) + 0.05), HOME, max_iterations=1)
+    assert refusal.value.cause == "residual"
