@@ -26,6 +26,7 @@ from viskill_deploy.safety.rule_base import Rule, find_rules
 from viskill_deploy.safety.supervisor import Supervisor
 
 PERIOD = 0.004
+CELL = load_cell("bipegtransfer")
 RULES = {rule.id: rule for rule in find_rules()}
 
 
@@ -42,7 +43,7 @@ class Rig:
     """One supervisor with its cell."""
 
     def __init__(self, period: float = PERIOD, cell: CellDescription | None = None) -> None:
-        self.cell = cell or load_cell("bipegtransfer")
+        self.cell = cell or CELL
         self.period = period
         self.gate = Supervisor(self.cell, period)
         self.now, self.ticks = 1.0, 0
@@ -102,7 +103,10 @@ class Rig:
         """Setpoints that go on with the last step of every joint."""
         return tuple(
             JointSetpoint(
-                tuple(2.0 * q - p for q, p in zip(new.jp, old.jp, strict=True)), new.jv, new.jaw, 0.0
+                tuple(2.0 * q - p for q, p in zip(new.jp, old.jp, strict=True)),
+                new.jv,
+                new.jaw,
+                0.0,
             )
             for new, old in zip(self.held, self.before, strict=True)
         )

@@ -47,9 +47,8 @@ class JointStop:
     def at(self, t: float) -> Motion:
         """Position, speed and acceleration `t` seconds after the start of the stop."""
         if t < self.duration_s:
-            for start, p, v, a, jerk in reversed(self.phases):
-                if t >= start:
-                    return advance(p, v, a, jerk, t - start)
+            start, p, v, a, jerk = [phase for phase in self.phases if phase[0] <= t][-1]
+            return advance(p, v, a, jerk, t - start)
         return self.end, 0.0, 0.0
 
     def extent(self) -> tuple[float, float]:

@@ -22,7 +22,7 @@ from viskill_deploy.safety.checked import _TOKEN, CheckedSetpoint
 from viskill_deploy.safety.cycle import Cycle
 from viskill_deploy.safety.decision import Decision
 from viskill_deploy.safety.envelope import ROUNDING, CellEnvelope
-from viskill_deploy.safety.modes import CLEARS, Clear, Modes
+from viskill_deploy.safety.modes import Modes
 from viskill_deploy.safety.rule_base import Needs, Rule, find_rules, verdicts_of
 from viskill_deploy.safety.stopping import ArmStop
 
@@ -99,13 +99,14 @@ class Supervisor:
             JointSetpoint(arm.setpoint_jp, (0.0,) * 6, arm.jaw_setpoint_jp, 0.0)
             for arm in state.arms
         )
+        if self._pending:
+            return self._take_reports()
         self._renew_rules()
         for track, setpoint in zip(self._cycle.tracks, stay, strict=True):
             track.begin(setpoint)
         self._cycle.is_first, self._cycle.is_stopping = True, False
         verdicts = self._judge(state, Request(stay), now)
         against = tuple(verdict for verdict in verdicts if verdict.action >= Action.HOLD)
-        self._latch_unarmed(against)
         if not against:
             self._modes.arm()
             self._is_armed, self._saw_no_consent = True, False
@@ -249,10 +250,7 @@ class Supervisor:
 
     def _refuse(self) -> Decision:
         """Before arming nothing goes out; emergency stop and reports are latched all the same."""
-        reports = tuple(self._pending)
-        self._pending.clear()
-        self._latch_unarmed(reports)
-        verdicts = (*reports, Verdict("S09", Action.HOLD))
+        verdicts = (*self._take_reports(), Verdict("S09", Action.HOLD))
         action = max(Action.HOLD, self._modes.latched)
         margins = tuple(self._full_margins)
         return Decision((), action, verdicts, self.mode, 1.0, False, False, margins)
@@ -264,11 +262,13 @@ class Supervisor:
         if state.inputs.estop is not False and not self._is_armed:
             self._modes.escalate(Action.ESTOP)
 
-    def _latch_unarmed(self, verdicts: Iterable[Verdict]) -> None:
-        """While nothing moves, only what needs a person is latched: a HOLD holds nothing."""
-        for verdict in verdicts:
-            if CLEARS[verdict.action] is not Clear.ON_OPERATOR:
-                self._modes.escalate(verdict.action)
+    def _take_reports(self) -> tuple[Verdict, ...]:
+        """What was reported while nothing moves: all of it is a fault, there is no run to end."""
+        reports = tuple(self._pending)
+        self._pending.clear()
+        if reports:
+            self._modes.escalate(Action.FAULT)
+        return reports
 
     def _reasons_against_ready(self) -> tuple[Verdict, ...]:
         """Verdicts of the pre-checks; S09 when the mode alone forbids it."""

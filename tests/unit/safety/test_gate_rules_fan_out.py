@@ -81,9 +81,7 @@ def test_s01_faults_on_any_number_that_is_not_a_finite_float(arm, field, index, 
 def test_s01_passes_finite_floats(arm, field, index, value):
     rig = Rig()
     assert (
-        words(
-            made("S01"), cycle_of(rig, Request(setpoints_with(rig, arm, field, index, value)))
-        )
+        words(made("S01"), cycle_of(rig, Request(setpoints_with(rig, arm, field, index, value))))
         == []
     )
 
@@ -271,7 +269,7 @@ def test_s05_judges_the_velocity_that_is_sent_along(arm, joint, factor, action):
 def test_s05_finds_a_loop_that_runs_faster_than_its_period(rate):
     """Nominal full speed sent in less true time: nothing wrong in any one cycle."""
     rule = made("S05")
-    cycle, envelope = asking(0, 3, 0.1, 1.0 * 18.8 * PERIOD, 18.8 * PERIOD)
+    cycle, _ = asking(0, 3, 0.1, 1.0 * 18.8 * PERIOD, 18.8 * PERIOD)
     actions = []
     for k in range(2 * round(s05_joint_speed.WINDOW_S / PERIOD)):
         cycle.now = 1.0 + k * PERIOD * rate
