@@ -28,8 +28,8 @@ STEP_M = 0.008
 YAW_STEP_RAD = 0.3
 OPEN, CLOSE = 0.5, -0.5
 
-HELD_JAW_RAD = (0.05, 0.40)
-OPEN_JAW_RAD = 0.50
+HELD_JAW_RAD = (0.05, 0.36)
+OPEN_JAW_RAD = 0.42
 AT_XY_M, AT_Z_M, AT_YAW_RAD = 0.0015, 0.0015, math.radians(4.0)
 HELD_M = 0.004
 """How far a wall may slip in a closing jaw and still count as held."""
