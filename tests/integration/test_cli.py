@@ -1,0 +1,174 @@
+"""The command line as a new user meets it, each run a process of its own."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from viskill_deploy.observe.reading import read_recording
+
+ROOT = Path(__file__).resolve().parents[2]
+BUNDLE = ROOT / "policies" / "bipegtransfer-imitation"
+PROMISED = {
+    "task",
+    "episodes",
+    "success_rate",
+    "interventions",
+    "rcm_error_max_m",
+    "joint_margin_min",
+    "tip_speed_max_m_s",
+    "setpoints",
+    "realtime_factor",
+}
+
+
+def viskill(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "viskill_deploy.cli.main", *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+
+
+def figures(run: subprocess.CompletedProcess[str]) -> dict:
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.count("\n") == 1, "--json prints one line and nothing else"
+    return json.loads(run.stdout)
+
+
+def test_a_dry_run_with_json_prints_the_promised_figures_and_leaves_its_evidence(
+    tmp_path: Path,
+) -> None:
+    run = viskill("dry-run", BUNDLE, "--json", "--output", tmp_path / "run", cwd=tmp_path)
+    result = figures(run)
+    assert result.keys() >= PROMISED
+    assert result["success_rate"] == 1.0
+    assert result["interventions"] == 0
+    assert result["rcm_error_max_m"] < 1e-9
+    assert result["tip_speed_max_m_s"] < 0.05
+    assert {len(entry["sha256"]) for entry in result["files"]} == {64}
+    assert json.loads((tmp_path / "run" / "result.json").read_text()) == result
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert "bipegtransfer" in page
+    recording = read_recording(tmp_path / "run" / "recording")
+    assert recording.complete
+    cycles = len(recording.joints["/PSM1/setpoint_js"].time_s)
+    assert 2 * cycles == result["setpoints"]
+    assert len(recording.verdicts) >= cycles
+
+
+def test_the_same_seed_gives_the_same_run(tmp_path: Path) -> None:
+    options = ("--no-video", "--json", "--seed", 3, "--distribution", "wide", "--output")
+    first, second = (
+        figures(viskill("dry-run", BUNDLE, *options, tmp_path / name, cwd=tmp_path))
+        for name in "ab"
+    )
+    for key in PROMISED - {"realtime_factor"}:
+        assert first[key] == second[key]
+    assert first["margins"] == second["margins"]
+
+
+def test_plan_mode_streams_a_plan_that_was_checked_as_a_whole(tmp_path: Path) -> None:
+    options = ("--mode", "plan", "--no-video", "--json", "--output", tmp_path / "run")
+    result = figures(viskill("dry-run", BUNDLE, *options, cwd=tmp_path))
+    assert result["mode"] == "plan"
+    assert result["success_rate"] == 1.0
+    assert result["interventions"] == 0
+
+
+def test_the_rate_may_be_chosen(tmp_path: Path) -> None:
+    options = ("--rate", 500, "--no-video", "--json", "--output", tmp_path / "run")
+    result = figures(viskill("dry-run", BUNDLE, *options, cwd=tmp_path))
+    assert result["interventions"] == 0
+    assert result["setpoints"] == pytest.approx(2 * 500 * result["simulated_s"], rel=0.01)
+
+
+def test_a_served_loopback_in_real_time_does_the_task(tmp_path: Path) -> None:
+    options = ("--realtime", "--rate", 100, "--no-video", "--json", "--output", tmp_path / "run")
+    run = viskill("dry-run", BUNDLE, *options, cwd=tmp_path)
+    result = json.loads(run.stdout)
+    assert result["real_time"] is True
+    assert result["realtime_factor"] <= 1.01
+    assert result["setpoints"] > 0
+
+
+def test_the_dry_run_never_imports_torch(tmp_path: Path) -> None:
+    code = (
+        "import sys; sys.modules['torch'] = None\n"
+        "from viskill_deploy.cli.main import main\n"
+        f"sys.argv = ['viskill', 'inspect', {str(BUNDLE)!r}]\n"
+        "main()\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 0, run.stderr
+
+
+def test_a_changed_bundle_ends_with_exit_code_3_and_what_to_do(tmp_path: Path) -> None:
+    copy = shutil.copytree(BUNDLE, tmp_path / "changed")
+    graph = copy / "skill-grasp.onnx"
+    content = bytearray(graph.read_bytes())
+    content[len(content) // 2] ^= 1
+    graph.write_bytes(bytes(content))
+    for command in ("dry-run", "inspect"):
+        run = viskill(command, copy, cwd=tmp_path)
+        assert run.returncode == 3
+        assert "skill-grasp.onnx" in run.stderr
+        assert "fetch the bundle again" in run.stderr
+        assert "Traceback" not in run.stderr
+
+
+def test_a_safety_stop_ends_with_exit_code_5_and_a_report(tmp_path: Path) -> None:
+    options = ("--insertion-noise", 0.3, "--no-video", "--output", tmp_path / "run")
+    run = viskill("dry-run", BUNDLE, *options, cwd=tmp_path)
+    assert run.returncode == 5, run.stderr
+    assert "the gate stepped in" in run.stderr
+    assert (tmp_path / "run" / "report.html").is_file()
+    assert json.loads((tmp_path / "run" / "result.json").read_text())["interventions"] == 1
+
+
+def test_a_missed_requirement_ends_with_exit_code_1(untrained_bundle: Path, tmp_path: Path) -> None:
+    options = ("--require-success", 0.5, "--no-video", "--output", tmp_path / "run")
+    run = viskill("dry-run", untrained_bundle, *options, cwd=tmp_path)
+    assert run.returncode == 1
+    assert "below the required" in run.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("dry-run",),
+        ("dry-run", BUNDLE, "--rate", 5),
+        ("dry-run", BUNDLE, "--distribution", "elsewhere"),
+        ("dry-run", BUNDLE, "--ik-solver", "magic"),
+        ("dry-run", BUNDLE, "--mode", "hope"),
+        ("no-such-command",),
+    ],
+)
+def test_wrong_usage_ends_with_exit_code_2(arguments: tuple[object, ...], tmp_path: Path) -> None:
+    run = viskill(*arguments, cwd=tmp_path)
+    assert run.returncode == 2
+    assert "Traceback" not in run.stderr
+
+
+def test_an_output_folder_that_holds_something_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "precious").write_text("mine")
+    run = viskill("dry-run", BUNDLE, "--output", tmp_path, cwd=tmp_path)
+    assert run.returncode == 2
+    assert (tmp_path / "precious").read_text() == "mine"
+
+
+def test_inspect_and_doctor_speak_json(tmp_path: Path) -> None:
+    manifest = figures(viskill("inspect", BUNDLE, "--json", cwd=tmp_path))
+    assert manifest["task"] == "bipegtransfer"
+    health = figures(viskill("doctor", "--json", cwd=tmp_path))
+    assert health["problems"] == []
+    assert len(health["data_files"]) >= 54
+
+
+def test_every_command_has_help_with_an_example(tmp_path: Path) -> None:
+    for command in ("dry-run", "inspect", "doctor", "train", "export"):
+        run = viskill(command, "--help", cwd=tmp_path)
+        assert run.returncode == 0
+        assert "Example: viskill" in run.stdout
