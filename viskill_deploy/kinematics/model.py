@@ -84,9 +84,31 @@ def forward_batch(arm: ArmDescription, q: FloatArray) -> FloatArray:
     Raises:
         KinematicsError: another shape, or a number that is not finite.
     """
-    q = checked_rows(q, len(arm.joints), "q")
+    pose = _chain(arm, checked_rows(q, len(arm.joints), "q"), len(arm.joints))
+    result = pose.copy()
+    result[:, :3, :3] = pose[:, :3, :3] @ arm.tip_rotation
+    return result
+
+
+def port_distances(arm: ArmDescription, q: FloatArray, port: FloatArray) -> FloatArray:
+    """Distance of the shaft's axis from a port for many configurations, (N,) m.
+
+    Args:
+        arm: the arm.
+        q: joint positions, (N, 6), rad and m.
+        port: base frame, (3,) m.
+    """
+    shaft = _chain(arm, checked_rows(q, len(arm.joints), "q"), ROLL + 1)
+    offset = np.asarray(port) - shaft[:, :3, 3]
+    across = np.einsum("nij,ni->nj", shaft[:, :3, :2], offset)
+    distances: FloatArray = np.hypot(across[:, 0], across[:, 1])
+    return distances
+
+
+def _chain(arm: ArmDescription, q: FloatArray, joints: int) -> FloatArray:
+    """Pose of the frame of the last of the first `joints` joints, (N, 4, 4)."""
     pose = np.broadcast_to(np.eye(4), (len(q), 4, 4))
-    for joint, value in zip(arm.joints, q.T, strict=True):
+    for joint, value in zip(arm.joints[:joints], q.T, strict=False):
         motion = np.zeros((len(q), 4, 4))
         motion[:, 2, 2] = motion[:, 3, 3] = 1.0
         if joint.type == "prismatic":
@@ -97,6 +119,4 @@ def forward_batch(arm: ArmDescription, q: FloatArray) -> FloatArray:
             motion[:, 1, 0] = np.sin(value)
             motion[:, 0, 1] = -motion[:, 1, 0]
         pose = pose @ link_origin(joint) @ motion
-    result = pose.copy()
-    result[:, :3, :3] = pose[:, :3, :3] @ arm.tip_rotation
-    return result
+    return pose

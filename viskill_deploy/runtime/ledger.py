@@ -10,8 +10,7 @@ import numpy as np
 
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import Action, FloatArray, JointSetpoint, Verdict
-from viskill_deploy.kinematics.arm import Arm
-from viskill_deploy.kinematics.model import forward_batch
+from viskill_deploy.kinematics.model import forward_batch, port_distances
 
 WARNINGS_KEPT = 50
 
@@ -59,7 +58,6 @@ class Ledger:
 
     def __init__(self, cell: CellDescription, period_s: float, rules: Sequence[str]) -> None:
         self._cell, self._period_s, self._rules = cell, period_s, tuple(rules)
-        self._arms = [Arm(entry.arm) for entry in cell.arms]
         self._margins = [1.0] * len(self._rules)
         self._sent: list[tuple[JointSetpoint, ...]] = []
         self.setpoints = 0
@@ -107,11 +105,11 @@ class Ledger:
         speeds = np.linalg.norm(np.diff(tips, axis=0), axis=1) / self._period_s
         low, high = np.array(arm.limit(0)), np.array(arm.limit(1))
         room = np.minimum(q - low, high - q) / (high - low)
-        shaft, port = self._arms[index], entry.port_in_base
+        distances = port_distances(arm, q, entry.port_in_base)
         figures = self._figures
         figures["tip"] = max(figures["tip"], float(speeds.max(initial=0.0)))
         figures["margin"] = min(figures["margin"], float(room.min()))
-        figures["rcm"] = max(figures["rcm"], *(shaft.rcm_error(row, port) for row in q))
+        figures["rcm"] = max(figures["rcm"], float(distances.max()))
 
     def summary(self) -> dict[str, Any]:
         """The run's figures.
