@@ -13,7 +13,7 @@ import math
 import mujoco
 import numpy as np
 
-from viskill_deploy.core.description import CellArm, Jaw, RevoluteJoint
+from viskill_deploy.core.description import CellArm, Jaw, PrismaticJoint, RevoluteJoint
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.sim.materials import CONTACT_SOLIMP, CONTACT_SOLREF, FRICTION, Touch
 
@@ -76,32 +76,43 @@ def add_arm(spec: mujoco.MjSpec, cell_arm: CellArm, friction: bool) -> None:
         **Touch.NOTHING.bits,
     )
     for index, joint in enumerate(cell_arm.arm.joints):
-        turn = joint.theta_rad + (joint.offset if isinstance(joint, RevoluteJoint) else 0.0)
-        slide = joint.d_m + (0.0 if isinstance(joint, RevoluteJoint) else joint.offset)
-        tilt = rotation_x(joint.alpha_rad)
-        body = body.add_body(
-            name=f"{name}/{joint.name}",
-            pos=tilt @ np.array([joint.a_m, 0.0, slide]),
-            quat=quaternion(tilt @ rotation_z(turn)),
-            mass=LINK_MASS_KG,
-            inertia=[1e-7, 1e-7, 1e-7],
-            explicitinertial=True,
-            gravcomp=1.0,
-        )
-        armature, stiffness, damping, friction_loss, effort = joint.servo
-        revolute = isinstance(joint, RevoluteJoint)
-        kind = mujoco.mjtJoint.mjJNT_HINGE if revolute else mujoco.mjtJoint.mjJNT_SLIDE
-        body.add_joint(
-            name=f"{name}/{joint.name}",
-            type=kind,
-            axis=[0, 0, 1],
-            armature=armature,
-            frictionloss=friction_loss if friction else 0.0,
-            limited=mujoco.mjtLimited.mjLIMITED_FALSE,
-        )
-        _servo(spec, f"{name}/{joint.name}", mujoco.mjtTrn.mjTRN_JOINT, stiffness, damping, effort)
+        body = _add_link(spec, body, name, joint, friction)
         _add_looks(body, name, index, cell_arm)
     _add_jaw(spec, body, name, cell_arm)
+
+
+def _add_link(
+    spec: mujoco.MjSpec,
+    parent: mujoco.MjsBody,
+    arm: str,
+    joint: RevoluteJoint | PrismaticJoint,
+    friction: bool,
+) -> mujoco.MjsBody:
+    """One row of the chain: Rx(alpha) Tx(a) Rz(theta) Tz(d), its joint about or along z."""
+    revolute = isinstance(joint, RevoluteJoint)
+    turn = joint.theta_rad + (joint.offset if revolute else 0.0)
+    slide = joint.d_m + (0.0 if revolute else joint.offset)
+    tilt, name = rotation_x(joint.alpha_rad), f"{arm}/{joint.name}"
+    body = parent.add_body(
+        name=name,
+        pos=tilt @ np.array([joint.a_m, 0.0, slide]),
+        quat=quaternion(tilt @ rotation_z(turn)),
+        mass=LINK_MASS_KG,
+        inertia=[1e-7, 1e-7, 1e-7],
+        explicitinertial=True,
+        gravcomp=1.0,
+    )
+    armature, stiffness, damping, friction_loss, effort = joint.servo
+    body.add_joint(
+        name=name,
+        type=mujoco.mjtJoint.mjJNT_HINGE if revolute else mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=[0, 0, 1],
+        armature=armature,
+        frictionloss=friction_loss if friction else 0.0,
+        limited=mujoco.mjtLimited.mjLIMITED_FALSE,
+    )
+    _servo(spec, name, mujoco.mjtTrn.mjTRN_JOINT, stiffness, damping, effort)
+    return body
 
 
 def _servo(
