@@ -18,6 +18,8 @@ TOLERANCE = (0.005, 0.005, 0.0005, 0.005, 0.005, 0.005)
 console moves more within a few cycles."""
 JAW_TOLERANCE = 0.02
 """rad"""
+CLOSE = 0.1
+"""Part of the tolerance at which the search through older setpoints ends."""
 
 
 class Rule:
@@ -47,15 +49,15 @@ class Rule:
 
 
 def _nearest(arm: ArmState, track: ArmTrack) -> float:
-    """Distance to a recent setpoint that is met, or else to the nearest of them.
+    """Distance to the nearest of the recent setpoints, or to the newest that is close.
 
     The jaw may lag by another number of cycles than the arm: it has its own topic.
     """
     joints = jaw = inf
     for sent in reversed(track.recent):
-        if joints > 1.0:
+        if joints > CLOSE:
             joints = min(joints, _distance(arm, sent))
-        if jaw > 1.0:
+        if jaw > CLOSE:
             jaw = min(jaw, abs(arm.jaw_setpoint_jp - sent.jaw) / JAW_TOLERANCE)
     return max(joints, jaw)
 
