@@ -52,6 +52,11 @@ class SkillChain:
         return self._skill >= len(self._bundle.manifest.skills)
 
     @property
+    def between_skills(self) -> bool:
+        """Whether the next action is the first of a skill, or there is none."""
+        return self._step == 0
+
+    @property
     def steps(self) -> int:
         """Policy steps of the whole chain."""
         return sum(skill.budget for skill in self._bundle.manifest.skills)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
 
-from viskill_deploy.bundle.chain import Choice, SkillChain
+from viskill_deploy.bundle.chain import SkillChain
 from viskill_deploy.bundle.format import Bundle
-from viskill_deploy.core.errors import DriverError
-from viskill_deploy.core.types import CellState, FloatArray, Scene
+from viskill_deploy.core.errors import DriverError, ViskillError
+from viskill_deploy.core.types import CellState, FloatArray, Scene, Waypoint
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.motion.waypoints import apply_action
 from viskill_deploy.runtime.ledger import EpisodeResult
@@ -26,43 +27,63 @@ class Job:
     task: Task
 
 
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """State, scene and observation of one moment."""
+
+    state: CellState
+    scene: Scene
+    observation: FloatArray
+
+
 def closed_loop(
     session: Session, job: Job, rng: np.random.Generator, episode: int
 ) -> EpisodeResult:
     """Runs the skills in turn, asking the policy at every step."""
-    task, driver = job.task, session.driver
+    task, result = job.task, EpisodeResult(episode)
     session.make_ready()
     session.begin()
-    result = EpisodeResult(episode)
-    state, scene = driver.state(), _seen(session)
-    observation = _observe(session, task, state, scene)
-    subgoals = task.subgoals(observation, scene, rng)
+    seen = _look(session, task)
+    subgoals = task.subgoals(seen.observation, seen.scene, rng)
     chain = SkillChain(job.bundle, lambda skill, _: subgoals[skill])
-    waypoint = waypoint_at(session.cell, axes_of(state))
-    spec = job.bundle.manifest.action.spec()
+    waypoint = waypoint_at(session.cell, axes_of(seen.state))
     while not chain.finished:
-        choice = chain.act(observation)
-        _mark(session, result, choice)
-        waypoint = apply_action(
-            waypoint,
-            choice.action,
-            session.tips(state),
-            session.cell,
-            spec,
-            choice.skill,
-            choice.may_open_jaw,
-        )
-        stretch = session.go_to(waypoint, last=chain.finished)
+        try:
+            seen = _look(session, task)
+            waypoint = _next_waypoint(session, job, chain, seen, waypoint, result)
+        except (ViskillError, ValueError) as error:
+            # a policy or a measurement without sense: the gate brings the arms to rest
+            session.line.fail(str(error))
         if not run_motion(session):
             session.come_to_rest(result)
             return result
-        state, scene = driver.state(), _seen(session)
-        observation = _observe(session, task, state, scene)
-        skill = result.skill(choice.skill)
-        skill.steps, skill.stretch_max = choice.step + 1, max(skill.stretch_max, stretch)
-        _judge_skill(session, task, result, choice.subgoal)
+        if chain.between_skills:
+            _judge_skill(session, task, result, subgoals[waypoint.skill])
+    session.finish()
     result.success = _judge(session, task)
     return result
+
+
+def _next_waypoint(
+    session: Session,
+    job: Job,
+    chain: SkillChain,
+    seen: _Seen,
+    last: Waypoint,
+    result: EpisodeResult,
+) -> Waypoint:
+    """Asks the policy and begins the motion to the waypoint that it wants."""
+    choice = chain.act(seen.observation)
+    session.recorder.mark(session.driver.clock.now(), result.episode, choice.skill, choice.step)
+    spec = job.bundle.manifest.action.spec()
+    tips, cell = session.tips(seen.state), session.cell
+    waypoint = apply_action(
+        last, choice.action, tips, cell, spec, choice.skill, choice.may_open_jaw
+    )
+    stretch = session.go_to(waypoint, last=chain.finished)
+    skill = result.skill(choice.skill)
+    skill.steps, skill.stretch_max = choice.step + 1, max(skill.stretch_max, stretch)
+    return waypoint
 
 
 def planned(
@@ -85,6 +106,7 @@ def planned(
         if not session.cycle():
             session.come_to_rest(result)
             return result
+    session.finish()
     _judge_skill(session, job.task, result, plan.subgoals[plan.waypoints[-1].skill])
     for skill in result.skills:
         skill.stretch_max = plan.motion.stretch
@@ -121,14 +143,11 @@ def _pass_waypoint(
 def _judge_skill(session: Session, task: Task, result: EpisodeResult, subgoal: FloatArray) -> None:
     """Whether the skill that is running has reached its subgoal, where the simulator can tell."""
     if session.driver.capabilities.simulated:
-        skill, touched = result.skills[-1], session.driver.active_object().touched
-        seen = _observe(session, task, session.driver.state(), _seen(session))
-        skill.success = task.skill_success(task.achieved(skill.name, seen, touched), subgoal)
-
-
-def _mark(session: Session, result: EpisodeResult, choice: Choice) -> None:
-    now = session.driver.clock.now()
-    session.recorder.mark(now, result.episode, choice.skill, choice.step)
+        skill = result.skills[-1]
+        with contextlib.suppress(ViskillError, ValueError):  # nothing to judge by
+            observation = _look(session, task).observation
+            reached = task.achieved(skill.name, observation, session.driver.active_object().touched)
+            skill.success = task.skill_success(reached, subgoal)
 
 
 def _seen(session: Session) -> Scene:
@@ -138,8 +157,10 @@ def _seen(session: Session) -> Scene:
     return scene
 
 
-def _observe(session: Session, task: Task, state: CellState, scene: Scene) -> FloatArray:
-    return task.observe(session.tips(state), [arm.jaw_measured_jp for arm in state.arms], scene)
+def _look(session: Session, task: Task) -> _Seen:
+    state, scene = session.driver.state(), _seen(session)
+    jaws = [arm.jaw_measured_jp for arm in state.arms]
+    return _Seen(state, scene, task.observe(session.tips(state), jaws, scene))
 
 
 def _judge(session: Session, task: Task) -> bool:

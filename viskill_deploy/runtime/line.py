@@ -37,6 +37,9 @@ RATE_CHANGE_PER_S = 1.0
 """How fast the time base may change its rate: a jump in rate would be a jump in joint speed. At
 full speed this adds 1.4 rad/s² to a joint, a fifth of what the gate allows."""
 
+PHASE_TOLERANCE = 1e-6
+"""Seconds by which a sum of control periods may miss the end of a motion: rounding."""
+
 AT_REST = 1e-6
 """Rad/s or m/s below which an axis counts as standing still."""
 
@@ -98,7 +101,7 @@ class Line:
         """Whether the present motion is over and the next one is due."""
         if self._fault:
             return False
-        return self._motion is None or self._phase >= self._motion.duration_s - 1e-6
+        return self._motion is None or self._phase >= self._motion.duration_s - PHASE_TOLERANCE
 
     def go_to(self, waypoint: Waypoint, last: bool = False) -> float:
         """Begins the segment to a waypoint; returns its stretch.
@@ -118,7 +121,7 @@ class Line:
             )
             segment = self._planner.plan(start, target.tolist(), end, waypoint.step_s)
         except MotionError as error:
-            self._fault = str(error)
+            self.fail(str(error))
             return 1.0
         self.follow(segment)
         return segment.stretch
@@ -132,6 +135,10 @@ class Line:
     def phase(self) -> float:
         """Time of the present motion, s."""
         return self._phase
+
+    def fail(self, reason: str) -> None:
+        """Leaves the gate without setpoints from now on: it stops the arms (S16)."""
+        self._fault = reason
 
     def follow(self, motion: Motion) -> None:
         """Begins a motion that starts where the line is now."""
@@ -152,7 +159,7 @@ class Line:
         due = math.inf
         reference = self.sample()
         if self._motion is not None and any(abs(v) > AT_REST for m in reference for v in m.v):
-            due = now + max(self._motion.duration_s - self._phase, 0.0) / self.rate
+            due = now + (self._motion.duration_s - self._phase) / self.rate
         may_open = waypoint.may_open_jaw if waypoint else ()
         return self.resolved(reference, due, may_open, holding)
 
@@ -195,16 +202,19 @@ class Line:
         """Smoothed state of every arm at the end of the coming period."""
         if self._motion is None:
             return self._reference
-        time = self._phase + self.period_s * self.rate
-        sampled, r = self._motion.at(time), self.rate
-        if r == 1.0:
-            return sampled
+        r = self.rate
+        time = self._phase + self.period_s * r
+        sampled = self._motion.at(time)
         over = time - self._motion.duration_s
-        if over > 0.0:  # a part of a period is left: go on as fast, the next segment starts there
+        if over > PHASE_TOLERANCE:
+            # A part of a period is left, or the next waypoint is late: go on as fast. The next
+            # segment starts there, and 100 ms later the gate stops the arms (S19).
             sampled = tuple(
                 AxisMotion(tuple(p + v * over for p, v in zip(m.p, m.v, strict=True)), m.v, m.a)
                 for m in sampled
             )
+        if r == 1.0:
+            return sampled
         return tuple(
             AxisMotion(m.p, tuple(r * x for x in m.v), tuple(r * r * x for x in m.a))
             for m in sampled

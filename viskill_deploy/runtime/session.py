@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Protocol, Self
@@ -12,6 +13,7 @@ from viskill_deploy.core.types import (
     Action,
     CellState,
     FloatArray,
+    Inputs,
     JointSetpoint,
     Mode,
     Request,
@@ -23,6 +25,7 @@ from viskill_deploy.drivers.base import Driver
 from viskill_deploy.kinematics.arm import Arm
 from viskill_deploy.runtime.ledger import EpisodeResult, Ledger
 from viskill_deploy.runtime.line import Line
+from viskill_deploy.safety.decision import Decision
 from viskill_deploy.safety.supervisor import Supervisor
 
 HOLDING_RAD = 0.08
@@ -77,6 +80,9 @@ class Session:
         driver: a connected driver.
         line: from waypoints to requests.
         recorder: where the run is recorded.
+
+    Attributes:
+        cause: id of the rule for which the gate first stepped in since `begin`; "" if it did not.
     """
 
     def __init__(
@@ -87,9 +93,11 @@ class Session:
         self.ledger = Ledger(cell, driver.period_s, self.gate.rules)
         self._arms = [Arm(entry.arm) for entry in cell.arms]
         self._scene_due_s = 0.0
-        self.overruns = 0
+        self.overruns, self.cause = 0, ""
         self._deadline = 0.0
         self._waypoint: Waypoint | None = None
+        self._at_rest, self._is_moving = False, False
+        self._state = CellState((), Inputs(False, 0.0, "", True))  # closed until one is read
 
     def __enter__(self) -> Self:
         return self
@@ -100,7 +108,13 @@ class Session:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.driver.close()
+        """Whatever ended the run, also Ctrl-C: the arms come to rest before the driver closes."""
+        try:
+            if self._is_moving:
+                self.line.fail("the run was ended")
+                self.come_to_rest()
+        finally:
+            self.driver.close()
 
     def make_ready(self) -> CellState:
         """Enables and homes the arms; returns their state. Nothing moves yet."""
@@ -129,7 +143,12 @@ class Session:
             reasons = ", ".join(f"{v.rule} ({v.value:.4g}, limit {v.limit:.4g})" for v in against)
             raise SafetyStop(f"the gate refuses to arm: {reasons}; put that right and start again")
         self.line.start(state)
-        self._waypoint = None
+        self._state, self._waypoint, self.cause = state, None, ""
+        self._at_rest, self._is_moving = False, True
+
+    def finish(self) -> None:
+        """The motion has ended by itself, at rest."""
+        self._is_moving = False
 
     def _watch(self, seen: Callable[[CellState], bool]) -> CellState:
         """Shows the gate states until one is as awaited, or the arms had time enough for it."""
@@ -151,18 +170,20 @@ class Session:
         self._waypoint = waypoint
 
     def cycle(self) -> bool:
-        """One control period. True while the gate passes what the line asks for."""
+        """One control period. True while the gate passes what the line asks for.
+
+        Whatever goes wrong with the driver becomes a verdict, never an exception: the gate stops
+        the arms with what it knows.
+        """
         now = self.driver.clock.now()
-        state = self.driver.state()
+        state = self._read(now)
         request = self.line.request(now, self._waypoint, self._holding(state))
         if not self.recorder.alive:
             self.gate.report_fault("S32", now)
         decision = self.gate.check(state, request, now)
         sent = tuple(checked.setpoint for checked in decision.setpoints)
-        try:
-            self.driver.servo_jp(decision.setpoints)
-        except DriverError:
-            self.gate.report_fault("S24", now)
+        self._send(decision, now)
+        self._note(decision)
         mode, verdicts = decision.mode, decision.verdicts
         # a faulty arm may report numbers that have no pose
         tips = self.tips(state) if decision.action < Action.FAULT else None
@@ -173,13 +194,37 @@ class Session:
         self._wait_for_next_period()
         return decision.passed
 
-    def come_to_rest(self, result: EpisodeResult) -> None:
+    def come_to_rest(self, result: EpisodeResult | None = None) -> None:
         """After the gate has stepped in: lets its stop run out, and notes the cause."""
-        causes = [v.rule for v in self.ledger.verdicts if v.action >= Action.HOLD]
-        result.stopped_by = causes[0] if causes else "gate"
         deadline = self.driver.clock.now() + STOP_S
-        while self.driver.clock.now() < deadline and not self._at_rest():
+        while self.driver.clock.now() < deadline and not self._at_rest:
             self.cycle()
+        self._is_moving = False
+        if result is not None:
+            result.stopped_by = self.cause
+
+    def _read(self, now: float) -> CellState:
+        """The newest state; the last one, and a report to the gate, when the driver fails."""
+        try:
+            self._state = self.driver.state()
+        except DriverError:
+            self.gate.report_fault("S24", now)
+        return self._state
+
+    def _send(self, decision: Decision, now: float) -> None:
+        """Sends what the gate decided; an emergency stop also takes the power away."""
+        try:
+            self.driver.servo_jp(decision.setpoints)
+            if decision.action is Action.ESTOP:
+                self.driver.disable()
+        except DriverError:
+            self.gate.report_fault("S24", now)
+
+    def _note(self, decision: Decision) -> None:
+        """Remembers what the gate first stepped in for, and whether its stop is over."""
+        self._at_rest = decision.at_rest
+        if not self.cause:
+            self.cause = next((v.rule for v in decision.verdicts if v.action >= Action.HOLD), "")
 
     def tips(self, state: CellState) -> list[FloatArray]:
         """Measured T_task_tip of every arm."""
@@ -187,10 +232,6 @@ class Session:
             entry.T_task_base @ arm.forward(seen.measured_jp).homogeneous
             for entry, arm, seen in zip(self.cell.arms, self._arms, state.arms, strict=True)
         ]
-
-    def _at_rest(self) -> bool:
-        sent = self.ledger.last_sent
-        return bool(sent) and not any(any(s.jv) or s.jaw_v for s in sent)
 
     def _holding(self, state: CellState) -> tuple[bool, ...]:
         """Per arm, whether its jaw is told to close and something keeps it open."""
@@ -201,9 +242,10 @@ class Session:
     def _record_scene(self, now: float) -> None:
         if self.driver.capabilities.sees_scene and now >= self._scene_due_s - 1e-9:
             self._scene_due_s = now + SCENE_PERIOD_S
-            scene = self.driver.scene()
-            if scene is not None:
-                self.recorder.scene(now, scene)
+            with contextlib.suppress(DriverError):  # the next reading of the state reports it
+                scene = self.driver.scene()
+                if scene is not None:
+                    self.recorder.scene(now, scene)
 
     def _wait_for_next_period(self) -> None:
         self._deadline += self.driver.period_s
