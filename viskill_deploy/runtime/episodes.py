@@ -74,7 +74,9 @@ def _next_waypoint(
 ) -> Waypoint:
     """Asks the policy and begins the motion to the waypoint that it wants."""
     choice = chain.act(seen.observation)
-    session.recorder.mark(session.driver.clock.now(), result.episode, choice.skill, choice.step)
+    note = seen.scene.active if not result.skills else ""
+    now = session.driver.clock.now()
+    session.recorder.mark(now, result.episode, choice.skill, choice.step, note)
     spec = job.bundle.manifest.action.spec()
     tips, cell = session.tips(seen.state), session.cell
     waypoint = apply_action(
@@ -135,9 +137,9 @@ def _pass_waypoint(
     name, before = plan.waypoints[ahead].skill, plan.waypoints[passed].skill
     if before and name != before:
         _judge_skill(session, task, result, plan.subgoals[before])
-    step = ahead - plan.first_of(name)
+    step, note = ahead - plan.first_of(name), _seen(session).active if not before else ""
     result.skill(name).steps = step + 1
-    session.recorder.mark(session.driver.clock.now(), result.episode, name, step)
+    session.recorder.mark(session.driver.clock.now(), result.episode, name, step, note)
 
 
 def _judge_skill(session: Session, task: Task, result: EpisodeResult, subgoal: FloatArray) -> None:

@@ -68,7 +68,7 @@ class Recorder(Protocol):
         ...
 
     def mark(self, now: float, episode: int, skill: str, step: int, note: str = "") -> None:
-        """Records where in the run this is."""
+        """Records where in the run this is; an episode's first note names its active object."""
         ...
 
 

@@ -18,7 +18,7 @@ LONGEST_STEP_S = 0.004
 """Longer physics steps let a held block creep: placing falls from 1.00 to 0.96 at 5 ms."""
 
 CAMERAS = {
-    "overview": ((0.24, 0.10, 0.17), (-0.01, 0.0, 0.035), 45.0),
+    "overview": ((0.24, 0.10, 0.17), (-0.01, 0.0, 0.035), 38.0),
     "side": ((0.02, -0.26, 0.09), (-0.01, 0.0, 0.03), 40.0),
 }
 """Position, point looked at (task frame, m), vertical field of view (deg)."""
@@ -78,6 +78,15 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
     spec.visual.global_.offheight = 960
     spec.visual.map.znear = 0.01
     spec.visual.quality.shadowsize = 4096
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.62, 0.68, 0.75],
+        rgb2=[0.30, 0.35, 0.42],
+        width=64,
+        height=384,
+    )
     spec.stat.center, spec.stat.extent = [0.0, 0.0, 0.05], 0.3
     spec.worldbody.add_light(
         pos=[0.25, 0.15, 0.5], dir=[-0.45, -0.25, -0.86], diffuse=[0.7, 0.7, 0.68], castshadow=True
@@ -87,6 +96,26 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
     )
     for name, (eye, target, fovy) in CAMERAS.items():
         spec.worldbody.add_camera(name=name, pos=eye, quat=look_at(eye, target), fovy=fovy)
+
+
+def colour(model: mujoco.MjModel, cell: CellDescription, active: str, goal: FloatArray) -> None:
+    """Paints the active block red and the peg under the goal green.
+
+    Args:
+        model: a model of the cell.
+        cell: the cell.
+        active: name of the block to manipulate.
+        goal: task frame, (3,) m.
+    """
+    for index in range(BLOCKS if cell.file.block else 0):
+        body = model.body(block_name(index)).id
+        first, count = model.body_geomadr[body], model.body_geomnum[body]
+        look = "active_block" if block_name(index) == active else "block"
+        model.geom_matid[first : first + count] = model.material(look).id
+    board = cell.file.board
+    for number, xy in enumerate(board.peg_xy_m if board else ()):
+        look = "goal_peg" if math.dist(xy, goal[:2]) < 1e-3 else "peg"
+        model.geom(f"peg{number}").matid = model.material(look).id
 
 
 def look_at(eye: tuple[float, ...], target: tuple[float, ...]) -> FloatArray:

@@ -20,7 +20,7 @@ from viskill_deploy.core.errors import ViskillError
 from viskill_deploy.core.types import FloatArray, JointSetpoint, ObjectPose, Scene
 from viskill_deploy.motion.resolve import resolve
 from viskill_deploy.motion.waypoints import ActionSpec, start_waypoint
-from viskill_deploy.sim.scene import BLOCKS, LONGEST_STEP_S, block_name, build_model
+from viskill_deploy.sim.scene import BLOCKS, LONGEST_STEP_S, block_name, build_model, colour
 
 AXES = 7
 SETTLE_S = 0.25
@@ -158,7 +158,7 @@ class World:
         still = _controls(start, np.zeros_like(start))
         self._pending = deque([still] * self.options.delay_periods)
         self.data.ctrl[:] = still
-        self._recolour()
+        colour(self.model, self.cell, self._active, self._goal)
         mujoco.mj_step(self.model, self.data, nstep=math.ceil(SETTLE_S / self.model.opt.timestep))
         self.data.time = 0.0
 
@@ -253,20 +253,6 @@ class World:
             self.data.qpos[start : start + 3] = thing.T_task_object[:3, 3]
             rotation = np.ascontiguousarray(thing.T_task_object[:3, :3]).ravel()
             mujoco.mju_mat2Quat(self.data.qpos[start + 3 : start + 7], rotation)
-
-    def _recolour(self) -> None:
-        """The active block red, the goal peg green."""
-        looks = {name: self.model.material(name).id for name in ("block", "active_block")}
-        for name in self._blocks:
-            body = self.model.body(name).id
-            first, count = self.model.body_geomadr[body], self.model.body_geomnum[body]
-            colour = looks["active_block" if name == self._active else "block"]
-            self.model.geom_matid[first : first + count] = colour
-        board = self.cell.file.board
-        for number, xy in enumerate(board.peg_xy_m if board else ()):
-            near = math.dist(xy, self._goal[:2]) < 1e-3
-            colour = self.model.material("goal_peg" if near else "peg").id
-            self.model.geom(f"peg{number}").matid = colour
 
 
 def _controls(positions: FloatArray, velocities: FloatArray) -> FloatArray:
