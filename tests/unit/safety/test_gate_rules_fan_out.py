@@ -434,6 +434,13 @@ def test_s11_holds_outside_the_workspace_but_for_the_way_back(arm, axis, side, b
 
 
 @pytest.mark.parametrize("arm", ARMS)
+def test_s11_holds_a_slide_along_the_outside_of_a_wall(arm):
+    cycle = pushed(arm, 0, 1.0, 0.01, 1e-5)
+    cycle.tracks[arm].point = cycle.tracks[arm].asked_point
+    assert worst(words(made("S11"), cycle)) is Action.HOLD
+
+
+@pytest.mark.parametrize("arm", ARMS)
 @pytest.mark.parametrize(("depth", "holds"), [(-1e-6, 0), (0.0, 0), (1e-6, 1), (0.01, 1)])
 def test_s11_holds_before_a_jaw_end_enters_the_floor(arm, depth, holds):
     cycle = pushed(arm, 2, 1.0, -0.01, 1e-5)

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.types import JointSetpoint
 from viskill_deploy.safety.envelope import CellEnvelope
 from viskill_deploy.safety.stopping import ArmStop, JointStop, braking
 from viskill_deploy.safety.track import ArmTrack
@@ -82,6 +83,32 @@ def test_the_extent_holds_the_whole_way_and_the_bound_holds_the_extent(case):
     w = abs(v) + a * a / (2.0 * j_max)
     bound = w * (abs(a) / j_max + w / (2.0 * a_max) + a_max / (2.0 * j_max))
     assert last - first <= bound * (1 + 1e-9) + 1e-12
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("part", [0.1, 0.5, 0.6, 0.9, 0.99])
+def test_the_extent_holds_the_turn_of_a_motion_that_has_to_reverse(side, part):
+    """Speed so small against acceleration that taking the acceleration back reverses it."""
+    a_max, j_max = 7.85, 157.0
+    v, a = -side * part * a_max**2 / (2.0 * j_max), side * a_max
+    stop = JointStop(0.0, v, a, a_max, j_max)
+    path = [stop.at(t)[0] for t in np.linspace(0.0, stop.duration_s, 2000)]
+    assert min(path) < 0.0 < max(path) or part > 0.5
+    assert stop.extent() == pytest.approx((min(path), max(path)), abs=1e-8)
+
+
+def test_speed_is_carried_from_the_middle_of_a_period_to_its_end():
+    rig = Rig.running()
+    track = ArmTrack(0, rig.gate.envelope.arms[0], rig.period)
+    old, a = rig.held[0], 0.8
+    track.begin(old)
+    for k in range(1, 4):
+        depth = old.jp[2] + 0.5 * a * (k * rig.period) ** 2
+        jp = (*old.jp[:2], depth, *old.jp[3:])
+        track.ask(JointSetpoint(jp, (0.0,) * 6, old.jaw, 0.0))
+        if k < 3:
+            track.accept()
+    assert track.asked_motion(2) == pytest.approx((depth, a * 3 * rig.period, a), rel=1e-6)
 
 
 def test_rest_needs_no_stop():
