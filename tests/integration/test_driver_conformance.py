@@ -15,11 +15,12 @@ from viskill_deploy.drivers.base import DISABLED, ENABLED, Driver
 from viskill_deploy.safety.checked import CheckedSetpoint
 from viskill_deploy.safety.supervisor import Supervisor
 from viskill_deploy.sim.tasks.base import load_task
+from viskill_deploy.sim.world import WorldOptions
 
 CELL = load_cell("bipegtransfer")
 DRIVERS: dict[str, Callable[[], Driver]] = {
     "loopback": lambda: loopback.connect(CELL),
-    "served loopback": lambda: loopback_served.connect(CELL, 0.01),
+    "served loopback": lambda: loopback_served.connect(CELL, WorldOptions(period_s=0.01)),
 }
 SETTLE = 30
 

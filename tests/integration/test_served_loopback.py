@@ -10,13 +10,14 @@ from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import DriverError
 from viskill_deploy.drivers.base import DISABLED, ENABLED
 from viskill_deploy.drivers.loopback_served import ServedLoopback, StopHandle
+from viskill_deploy.sim.world import WorldOptions
 
 CELL = load_cell("bipegtransfer")
 
 
 @pytest.fixture
 def driver() -> Iterator[ServedLoopback]:
-    made = ServedLoopback(CELL, 0.01)
+    made = ServedLoopback(CELL, WorldOptions(period_s=0.01))
     made.connect()
     yield made
     made.close()

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from viskill_deploy.bundle.format import Bundle
+from viskill_deploy.bundle.format import ORT_ERRORS, Bundle
+from viskill_deploy.core.errors import BundleError
 from viskill_deploy.core.types import FloatArray
 
 SubgoalSource = Callable[[str, FloatArray], FloatArray]
@@ -70,7 +71,10 @@ class SkillChain:
             "obs": observation[None].astype(np.float32),
             "goal": self._goal[None].astype(np.float32),
         }
-        (action,) = self._bundle.sessions[entry.name].run(["action"], feed)
+        try:
+            (action,) = self._bundle.sessions[entry.name].run(["action"], feed)
+        except ORT_ERRORS as error:
+            raise BundleError(self._bundle.path / entry.file, f"cannot run: {error}") from error
         choice = Choice(
             entry.name, self._step, action[0].astype(np.float64), self._goal, entry.may_open_jaw
         )

@@ -208,9 +208,9 @@ def read_manifest(folder: Path) -> Manifest:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         raise BundleError(path, f"{key}: {first['msg']}; export the bundle again") from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise BundleError(path, f"is not readable ({error}); fetch the bundle again") from error
-    if content["digest"] != digest(content):
+    if manifest.digest != digest(content):
         raise BundleError(path, "was changed after export; fetch or export the bundle again")
     _check_sizes(path, manifest)
     return manifest
@@ -296,8 +296,8 @@ def _session(
         (wanted_inputs, session.get_inputs()),
         (wanted_outputs, session.get_outputs()),
     ):
-        found = {node.name: (node.type, node.shape[-1], len(node.shape)) for node in nodes}
-        expected = {key: ("tensor(float)", size, 2) for key, size in wanted.items()}
+        found = {node.name: (node.type, len(node.shape), *node.shape[-1:]) for node in nodes}
+        expected = {key: ("tensor(float)", 2, size) for key, size in wanted.items()}
         if found != expected:
             raise BundleError(
                 path, f"has {found}, the manifest says {expected}; export the bundle again"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import enum
+import itertools
 import json
 import sys
 from pathlib import Path
@@ -14,7 +15,7 @@ import typer
 from rich.console import Console
 
 from viskill_deploy.core.clock import wall_time
-from viskill_deploy.core.errors import SafetyStop
+from viskill_deploy.core.errors import RecordingError, SafetyStop, ViskillError
 from viskill_deploy.observe.recording import Recorder
 from viskill_deploy.observe.report import write_report
 from viskill_deploy.observe.tables import print_tables, progress
@@ -22,6 +23,7 @@ from viskill_deploy.observe.video import Video, render_video
 from viskill_deploy.runtime.dry_run import DryRunOptions, dry_run
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.preflight import Prepared, prepare
+from viskill_deploy.sim.world import WorldOptions
 
 EXAMPLE = "Example: viskill dry-run policies/bipegtransfer-imitation --episodes 5 --seed 1"
 
@@ -40,8 +42,12 @@ def command(
     episodes: Annotated[int, typer.Option(min=1, help="How many episodes.")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="Seed of layouts and noise.")] = 0,
     distribution: Annotated[
-        str, typer.Option(help="Where blocks and goal are drawn from: reference or wide.")
-    ] = "reference",
+        str | None,
+        typer.Option(
+            help="Where each episode's blocks and goal are drawn from: reference (the default of "
+            "closed loop) or wide. Without it, a plan starts from the scene as it is."
+        ),
+    ] = None,
     mode: Annotated[
         ModeName, typer.Option(help="Ask the policy at every step, or plan first and stream.")
     ] = ModeName.CLOSED_LOOP,
@@ -84,35 +90,33 @@ def command(
         seed=seed,
         distribution=distribution,
         mode="plan" if mode is ModeName.PLAN else "closed-loop",
-        rate_hz=rate,
+        world=WorldOptions(1.0 / rate, joint_noise, insertion_noise, object_noise, delay),
         real_time=realtime,
         ik_solver=ik_solver,
         speed=speed,
-        joint_noise_rad=joint_noise,
-        joint_noise_m=insertion_noise,
-        object_noise_m=object_noise,
-        delay_periods=delay,
     )
     folder = _new_folder(output, prepared.bundle.manifest.name)
     console = Console(stderr=json_)
-    result = _run(prepared, options, folder, console)
-    report = _report(prepared, result, folder, video, console)
-    _show(result, folder, report, json_, console)
-    if result["interventions"]:
+    figures, failure = _run(prepared, options, folder, console)
+    report = _report(prepared, figures, folder, video, console)
+    _show(figures, folder, report, json_, console)
+    if failure is not None:
+        raise failure
+    if figures["interventions"]:
         raise SafetyStop(
-            f"the gate stepped in {result['interventions']} times; see {report} for rule and time"
+            f"the gate stepped in {figures['interventions']} times; see {report} for rule and time"
         )
-    if result["success_rate"] < require_success:
+    if figures["success_rate"] < require_success:
         print(
-            f"viskill: success {result['success_rate']:.2f} is below the required "
+            f"viskill: success {figures['success_rate']:.2f} is below the required "
             f"{require_success:.2f}",
             file=sys.stderr,
         )
         raise typer.Exit(MISSED)
 
 
-def _check(prepared: Prepared, distribution: str, ik_solver: str) -> None:
-    if distribution not in prepared.task.distributions:
+def _check(prepared: Prepared, distribution: str | None, ik_solver: str) -> None:
+    if distribution is not None and distribution not in prepared.task.distributions:
         raise typer.BadParameter(
             f"{prepared.task.name} has the distributions {', '.join(prepared.task.distributions)}"
         )
@@ -124,35 +128,48 @@ def _check(prepared: Prepared, distribution: str, ik_solver: str) -> None:
 def _new_folder(output: Path | None, name: str) -> Path:
     if output is None:
         moment = datetime.datetime.fromtimestamp(wall_time(), datetime.UTC)
-        output = Path("runs") / f"{moment:%Y%m%d-%H%M%S}-{name}"
-    if output.exists() and any(output.iterdir()):
-        raise typer.BadParameter(f"{output} is not empty; name a new folder with --output")
+        first = Path("runs") / f"{moment:%Y%m%d-%H%M%S}-{name}"
+        numbered = (first.with_name(f"{first.name}-{i}") for i in itertools.count(2))
+        output = next(path for path in itertools.chain([first], numbered) if not path.exists())
+    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise typer.BadParameter(f"{output} is not an empty folder; name a new one with --output")
     output.mkdir(parents=True, exist_ok=True)
     return output
 
 
 def _run(
     prepared: Prepared, options: DryRunOptions, folder: Path, console: Console
-) -> dict[str, Any]:
-    period = 1.0 / options.rate_hz
+) -> tuple[dict[str, Any], ViskillError | None]:
+    """The run's figures, and what ended it early; both are kept when the recorder fails."""
     succeeded = 0
-    with (
-        Recorder(folder / "recording", prepared.cell, period) as recorder,
-        progress(options.episodes, console) as advance,
-    ):
+    recorder = Recorder(folder / "recording", prepared.cell, options.world.period_s)
+    with progress(options.episodes, console) as advance:
 
         def one_more(result: EpisodeResult) -> None:
             nonlocal succeeded
             succeeded += result.success
             advance(succeeded)
 
-        return dry_run(prepared, options, recorder, one_more)
+        def say(note: str) -> None:
+            console.print(f"note: {note}", markup=False, style="yellow", soft_wrap=True)
+
+        try:
+            outcome = dry_run(prepared, options, recorder, one_more, say)
+        finally:
+            try:
+                recorder.close()
+                lost = None
+            except RecordingError as error:
+                lost = error
+    return outcome.figures, outcome.failure or lost
 
 
 def _report(
     prepared: Prepared, result: dict[str, Any], folder: Path, video: bool, console: Console
 ) -> Path:
-    (folder / "result.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    (folder / "result.json").write_text(
+        json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8"
+    )
     picture: Video | None = None
     recording = folder / "recording"
     if video and result["setpoints"]:
@@ -166,7 +183,7 @@ def _show(
     result: dict[str, Any], folder: Path, report: Path, as_json: bool, console: Console
 ) -> None:
     if as_json:
-        print(json.dumps(result))
+        print(json.dumps(result, allow_nan=False))
         return
     print_tables(result, console)
     console.print(f"report:    {report}", highlight=False, soft_wrap=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+import traceback
 
 # One thread each: the control loop's small matrices only lose time to a pool of them.
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -16,9 +17,9 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import typer
 
 from viskill_deploy.cli import doctor, dry_run, export, inspect, train
-from viskill_deploy.core.errors import ViskillError
+from viskill_deploy.core.errors import Interrupted, ViskillError
 
-INTERRUPTED = 130
+BUG = 70
 
 app = typer.Typer(
     name="viskill",
@@ -42,8 +43,12 @@ def main() -> None:
         print(f"viskill: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
-        print("viskill: interrupted; the arms were left at rest", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+        print("viskill: interrupted", file=sys.stderr)
+        sys.exit(Interrupted.exit_code)
+    except Exception:  # noqa: BLE001 - the last edge: a bug gets an exit code of its own
+        traceback.print_exc()
+        print("viskill: this is a bug; please report it with the lines above", file=sys.stderr)
+        sys.exit(BUG)
 
 
 if __name__ == "__main__":

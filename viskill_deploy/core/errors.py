@@ -4,15 +4,16 @@ ViskillError
 ├── DataFileError         a robot, tool, cell or scene file is wrong        (exit 3)
 ├── BundleError           a policy bundle is wrong or was tampered with     (exit 3)
 ├── CalibrationError      a calibration file is missing, wrong or too old   (exit 3)
-├── KinematicsError
+├── KinematicsError                                                         (exit 3)
 │   ├── NoSolutionError   a pose is out of reach: names the joint and by how much
 │   └── IkError           the QP gave no usable solution: names why
-├── MotionError           a plan cannot be made inside the limits
+├── MotionError           a plan cannot be made inside the limits           (exit 3)
 ├── DriverError           the robot or its connection failed                (exit 4)
 ├── SafetyStop            the gate ended the run                            (exit 5)
 ├── MissingExtraError     an optional dependency is not installed           (exit 6)
 ├── RecordingError        a recording cannot be written or read     (exit 3)
-└── TrainingError         learning or export failed
+├── TrainingError         learning or export failed                         (exit 3)
+└── Interrupted           a person ended the run                            (exit 130)
 
 Each message ends with what to do next; the facts are attributes, so that a caller can act on them.
 """
@@ -69,6 +70,8 @@ class CalibrationError(ViskillError, ValueError):
 class KinematicsError(ViskillError, ValueError):
     """A kinematic question has no answer."""
 
+    exit_code = 3
+
 
 class NoSolutionError(KinematicsError):
     """A pose is out of reach.
@@ -98,7 +101,9 @@ class IkError(KinematicsError):
 
 
 class MotionError(ViskillError, ValueError):
-    """A plan cannot be made inside the limits."""
+    """A plan cannot be made inside the limits, or a policy asks for no motion that there is."""
+
+    exit_code = 3
 
 
 class DriverError(ViskillError, ConnectionError):
@@ -135,3 +140,11 @@ class RecordingError(ViskillError, OSError):
 
 class TrainingError(ViskillError, RuntimeError):
     """Learning or export failed."""
+
+    exit_code = 3
+
+
+class Interrupted(ViskillError):  # noqa: N818 - what shells call it
+    """A person ended the run; the arms were brought to rest."""
+
+    exit_code = 130

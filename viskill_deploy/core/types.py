@@ -220,6 +220,21 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True)
+class ActiveObject:
+    """What counts for success about the object that is to be moved.
+
+    Attributes:
+        T_task_object: pose, (4, 4).
+        speed_m_s: speed of its centre.
+        touched: per arm, whether any part of it touches the object.
+    """
+
+    T_task_object: FloatArray
+    speed_m_s: float
+    touched: tuple[bool, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Waypoint:
     """Where every arm's tip shall be at the end of one policy step.
 

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from viskill_deploy.core.clock import Clock
-from viskill_deploy.core.types import CellState, Scene
+from viskill_deploy.core.types import ActiveObject, CellState, Scene
 from viskill_deploy.safety.checked import CheckedSetpoint
-from viskill_deploy.sim.world import ActiveObject
 
-DISABLED, ENABLED, PAUSED, FAULT = "DISABLED", "ENABLED", "PAUSED", "FAULT"
-"""CRTK operating states."""
+DISABLED, ENABLED = "DISABLED", "ENABLED"
+"""CRTK operating states; PAUSED and FAULT are the others."""
 
 
 @dataclass(frozen=True, slots=True)

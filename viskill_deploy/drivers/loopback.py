@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from viskill_deploy.core.clock import Clock, SteppedClock
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DriverError
-from viskill_deploy.core.types import CellState, JointSetpoint, Scene
+from viskill_deploy.core.types import ActiveObject, CellState, JointSetpoint, Scene
 from viskill_deploy.drivers.base import Capabilities, Driver
 from viskill_deploy.drivers.loopback_cell import LoopbackCell
 from viskill_deploy.safety.checked import CheckedSetpoint
-from viskill_deploy.sim.world import ActiveObject, World, WorldOptions
+from viskill_deploy.sim.world import World, WorldOptions
 
 
 def accepted(setpoints: Sequence[CheckedSetpoint]) -> list[JointSetpoint]:

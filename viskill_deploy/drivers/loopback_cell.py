@@ -14,10 +14,13 @@ from viskill_deploy.core.types import (
     JointSetpoint,
     Scene,
 )
-from viskill_deploy.drivers.base import DISABLED, ENABLED, PAUSED
+from viskill_deploy.drivers.base import DISABLED, ENABLED
 from viskill_deploy.sim.world import World
 
 REST: Joints = (0.0,) * 6
+
+STREAM_TIMEOUT_S = 0.02
+"""The velocity of a setpoint is forgotten when no other has come for this long, as on a dVRK."""
 
 
 class LoopbackCell:
@@ -35,19 +38,16 @@ class LoopbackCell:
         self._state, self._homed = DISABLED, False
         self._consent = self._estop = False
         self._setpoints: list[JointSetpoint] = []
-        self._fresh = False
-        self._hold_at_measured()
+        self._silent_s = 0.0
+        self._stay_at_home()
 
     def reset(self, scene: Scene) -> None:
         """Puts objects where `scene` says and the arms in their start pose, at rest."""
         self.world.reset(scene)
-        self._setpoints = [
-            JointSetpoint(tuple(row[:6]), REST, row[6], 0.0) for row in self.world.home.tolist()
-        ]
+        self._stay_at_home()
 
     def enable(self) -> None:
-        """DISABLED or PAUSED → ENABLED."""
-        self._hold_at_measured()
+        """DISABLED → ENABLED."""
         self._state = ENABLED
 
     def home(self) -> None:
@@ -59,10 +59,6 @@ class LoopbackCell:
         if self._state != ENABLED:
             raise DriverError(f"home is not possible in state {self._state}; enable the arms first")
         self._homed = True
-
-    def pause(self) -> None:
-        """Keeps power and setpoint; motion is refused until the arms are enabled again."""
-        self._state = PAUSED
 
     def hold(self) -> None:
         """Stays at the setpoint, at rest."""
@@ -90,13 +86,13 @@ class LoopbackCell:
             raise DriverError(
                 f"servo_jp: {len(setpoints)} setpoints for {len(self._setpoints)} arms"
             )
-        self._setpoints, self._fresh = list(setpoints), True
+        self._setpoints, self._silent_s = list(setpoints), 0.0
 
     def advance(self) -> None:
         """Lets one control period pass."""
-        if not self._fresh:
+        self._silent_s += self.world.options.period_s
+        if self._silent_s > STREAM_TIMEOUT_S:
             self.hold()
-        self._fresh = False
         self.world.step(self._setpoints)
 
     def state(self, now: float) -> CellState:
@@ -129,8 +125,7 @@ class LoopbackCell:
         seen = self.world.scene()
         return Scene(now, seen.objects, seen.active, seen.goal)
 
-    def _hold_at_measured(self) -> None:
-        if not self._setpoints:
-            self._setpoints = [
-                JointSetpoint(tuple(row[:6]), REST, row[6], 0.0) for row in self.world.home.tolist()
-            ]
+    def _stay_at_home(self) -> None:
+        self._setpoints = [
+            JointSetpoint(tuple(row[:6]), REST, row[6], 0.0) for row in self.world.home.tolist()
+        ]

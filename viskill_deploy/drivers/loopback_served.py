@@ -13,7 +13,7 @@ from pathlib import Path
 from viskill_deploy.core.clock import Clock, MonotonicClock
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DriverError
-from viskill_deploy.core.types import CellState, Scene
+from viskill_deploy.core.types import ActiveObject, CellState, Scene
 from viskill_deploy.drivers.base import Capabilities, Driver
 from viskill_deploy.drivers.loopback import accepted
 from viskill_deploy.drivers.loopback_wire import (
@@ -26,7 +26,7 @@ from viskill_deploy.drivers.loopback_wire import (
     unpack_state,
 )
 from viskill_deploy.safety.checked import CheckedSetpoint
-from viskill_deploy.sim.world import ActiveObject
+from viskill_deploy.sim.world import WorldOptions
 
 START_TIMEOUT_S = 20.0
 ANSWER_TIMEOUT_S = 5.0
@@ -65,7 +65,7 @@ class ServedLoopback:
 
     Args:
         cell: the cell; the server loads it by its name.
-        period_s: control period of both sides.
+        options: period, noise, delay.
         seed: of the measurement noise.
 
     Attributes:
@@ -74,15 +74,18 @@ class ServedLoopback:
 
     capabilities = Capabilities(simulated=True, stepped=False, resettable=True, sees_scene=True)
 
-    def __init__(self, cell: CellDescription, period_s: float = 0.004, seed: int = 0) -> None:
+    def __init__(
+        self, cell: CellDescription, options: WorldOptions | None = None, seed: int = 0
+    ) -> None:
         self.clock: Clock = MonotonicClock()
-        self.period_s, self._cell, self._seed = period_s, cell, seed
+        self._options = options or WorldOptions()
+        self.period_s, self._cell, self._seed = self._options.period_s, cell, seed
         self._folder = tempfile.TemporaryDirectory(prefix="viskill-")
         self.path = Path(self._folder.name) / "loopback.sock"
         self.process: subprocess.Popen[bytes] | None = None
         self._line: LineSocket | None = None
-        self._state: CellState | None = None
-        self._scene: Scene | None = None
+        self._state: Message = {}  # the newest of each, read when somebody asks
+        self._scene: Message = {}
         self._requests = 0
         self._answers: dict[int, Message] = {}
 
@@ -94,10 +97,24 @@ class ServedLoopback:
         """
         command = [sys.executable, "-m", "viskill_deploy.drivers.loopback_server"]
         command += ["--cell", self._cell.name, "--socket", str(self.path)]
-        command += ["--period", str(self.period_s), "--seed", str(self._seed)]
-        self.process = subprocess.Popen(command)
-        self._line = LineSocket(_connected(self.path, self.clock))
-        self._wait(lambda: self._state is not None, "first state")
+        o = self._options
+        for name, value in (
+            ("--period", o.period_s),
+            ("--seed", self._seed),
+            ("--joint-noise", o.joint_noise_rad),
+            ("--insertion-noise", o.joint_noise_m),
+            ("--object-noise", o.object_noise_m),
+            ("--delay", o.delay_periods),
+        ):
+            command += [name, str(value)]
+        # a session of its own: Ctrl-C in the terminal is for the runtime, which needs the robot
+        self.process = subprocess.Popen(command, start_new_session=True)
+        try:
+            self._line = LineSocket(_connected(self.path, self.clock))
+            self._wait(lambda: bool(self._state), "first state")
+        except DriverError:
+            self.close()
+            raise
 
     def enable(self) -> None:
         """Every arm ENABLED."""
@@ -138,9 +155,7 @@ class ServedLoopback:
     def state(self) -> CellState:
         """The newest measurement that has arrived."""
         self._drain()
-        if self._state is None:
-            raise DriverError("the loopback has sent no state yet; connect() first")
-        return self._state
+        return unpack_state(self._state)
 
     def servo_jp(self, setpoints: Sequence[CheckedSetpoint]) -> None:
         """Sends one checked setpoint an arm."""
@@ -150,13 +165,13 @@ class ServedLoopback:
     def scene(self) -> Scene | None:
         """The objects as last seen."""
         self._drain()
-        return self._scene
+        return unpack_scene(self._scene) if self._scene else None
 
     def reset(self, layout: Scene) -> None:
         """Puts objects where `layout` says and the arms in their start pose."""
         self._ask({"do": "reset", "scene": pack_scene(layout)})
-        self._scene = None
-        self._wait(lambda: self._scene is not None, "scene after the reset")
+        self._scene = {}
+        self._wait(lambda: bool(self._scene), "scene after the reset")
 
     def active_object(self) -> ActiveObject:
         """The truth about the active object, for judging success."""
@@ -170,9 +185,9 @@ class ServedLoopback:
     def _drain(self) -> None:
         for message in self._connected_line().receive():
             if "state" in message:
-                self._state = unpack_state(message["state"])
+                self._state = message["state"]
             if "scene" in message:
-                self._scene = unpack_scene(message["scene"])
+                self._scene = message["scene"]
             if message.get("id") is not None:
                 self._answers[message["id"]] = message
             elif "error" in message:
@@ -199,9 +214,9 @@ class ServedLoopback:
             self.clock.sleep_until(self.clock.now() + POLL_S)
 
 
-def connect(cell: CellDescription, period_s: float = 0.004, seed: int = 0) -> Driver:
+def connect(cell: CellDescription, options: WorldOptions | None = None, seed: int = 0) -> Driver:
     """A connected served loopback."""
-    driver = ServedLoopback(cell, period_s, seed)
+    driver = ServedLoopback(cell, options, seed)
     driver.connect()
     return driver
 

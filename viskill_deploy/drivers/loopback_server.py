@@ -26,8 +26,8 @@ from viskill_deploy.drivers.loopback_wire import (
 )
 from viskill_deploy.sim.world import World, WorldOptions
 
-SCENE_EVERY = 5
-"""Control periods between two looks at the objects (a 50 Hz camera at 4 ms)."""
+LONELY_S = 30.0
+"""A server that nobody has connected to ends after this time."""
 
 WATCH_MAY = {"hold", "disable"}
 
@@ -41,32 +41,38 @@ class LoopbackServer:
         self._waiting = selectors.DefaultSelector()
         listener.setblocking(False)
         self._waiting.register(listener, selectors.EVENT_READ)
-        self._stopped = False
+        self._stopped = self._had_client = False
 
     def run(self) -> None:
         """Serves until the controlling client has come and gone, or asked to stop."""
-        period, count = self.cell.world.options.period_s, 0
-        deadline = self.clock.now()
+        period = self.cell.world.options.period_s
+        deadline = started = self.clock.now()
         while not self._stopped:
-            deadline += period
+            deadline = max(deadline + period, self.clock.now())  # late once, not for ever
             self._serve_until(deadline)
+            if not self._had_client and deadline - started > LONELY_S:
+                return
             self.cell.advance()
-            count += 1
             if self._clients:
-                self._publish(with_scene=count % SCENE_EVERY == 0)
+                self._publish()
 
     def _serve_until(self, deadline: float) -> None:
-        while (remaining := deadline - self.clock.now()) > 0:
+        """Clients are heard in every period, also in one that has no time left."""
+        while True:
+            remaining = max(deadline - self.clock.now(), 0.0)
             for key, _ in self._waiting.select(remaining):
                 if key.fileobj is self._listener:
                     self._accept()
                 else:
                     self._read(key.data)
+            if self.clock.now() >= deadline:
+                return
 
     def _accept(self) -> None:
         connection, _ = self._listener.accept()
         client = LineSocket(connection)
         self._clients.append(client)
+        self._had_client = True
         self._waiting.register(client, selectors.EVENT_READ, client)
 
     def _read(self, client: LineSocket) -> None:
@@ -88,18 +94,20 @@ class LoopbackServer:
     def _answer(self, client: LineSocket, message: Message) -> None:
         verb = str(message.get("do"))
         if client is not self._clients[0] and verb not in WATCH_MAY:
-            client.send({"error": f"this handle may only {sorted(WATCH_MAY)}, not {verb}"})
+            client.offer(
+                {"error": f"this handle may only {sorted(WATCH_MAY)}, not {verb}"}, must_arrive=True
+            )
             return
         try:
             self._do(verb, message)
         except (ViskillError, KeyError, TypeError, ValueError) as error:
-            client.send({"error": f"{verb}: {error}", "id": message.get("id")})
+            client.offer({"error": f"{verb}: {error}", "id": message.get("id")}, must_arrive=True)
             return
         if "id" in message:
             answer: Message = {"done": verb, "id": message["id"]}
             if verb == "active_object":
                 answer["object"] = pack_object(self.cell.world.active_object())
-            client.send(answer)
+            client.offer(answer, must_arrive=True)
 
     def _do(self, verb: str, message: Message) -> None:
         cell = self.cell
@@ -120,13 +128,12 @@ class LoopbackServer:
             case _:
                 raise DriverError(f"unknown request {verb!r}")
 
-    def _publish(self, with_scene: bool) -> None:
+    def _publish(self) -> None:
         now = self.clock.now()
-        message: Message = {"state": pack_state(self.cell.state(now))}
-        if with_scene:
-            message["scene"] = pack_scene(self.cell.scene(now))
+        state, scene = self.cell.state(now), self.cell.scene(now)
+        message = {"state": pack_state(state), "scene": pack_scene(scene)}
         try:
-            self._clients[0].send(message)
+            self._clients[0].offer(message)
         except DriverError:
             self._drop(self._clients[0])
 
@@ -138,8 +145,15 @@ def main() -> None:
     parser.add_argument("--socket", type=Path, required=True)
     parser.add_argument("--period", type=float, default=0.004)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--joint-noise", type=float, default=0.0)
+    parser.add_argument("--insertion-noise", type=float, default=0.0)
+    parser.add_argument("--object-noise", type=float, default=0.0)
+    parser.add_argument("--delay", type=int, default=0)
     args = parser.parse_args()
-    world = World(load_cell(args.cell), WorldOptions(period_s=args.period), args.seed)
+    options = WorldOptions(
+        args.period, args.joint_noise, args.insertion_noise, args.object_noise, args.delay
+    )
+    world = World(load_cell(args.cell), options, args.seed)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
         listener.bind(str(args.socket))
         args.socket.chmod(0o600)

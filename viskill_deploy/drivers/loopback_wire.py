@@ -13,11 +13,21 @@ from typing import Any
 import numpy as np
 
 from viskill_deploy.core.errors import DriverError
-from viskill_deploy.core.types import ArmState, CellState, Inputs, JointSetpoint, ObjectPose, Scene
-from viskill_deploy.sim.world import ActiveObject
+from viskill_deploy.core.types import (
+    ActiveObject,
+    ArmState,
+    CellState,
+    Inputs,
+    JointSetpoint,
+    ObjectPose,
+    Scene,
+)
 
 Message = dict[str, Any]
 MAX_LINE = 1 << 20
+
+
+SEND_TIMEOUT_S = 0.1
 
 
 class LineSocket:
@@ -25,7 +35,7 @@ class LineSocket:
 
     def __init__(self, connection: socket.socket) -> None:
         connection.setblocking(False)
-        self._socket, self._pending = connection, b""
+        self._socket, self._pending, self._unsent = connection, b"", b""
 
     def fileno(self) -> int:
         """For selectors."""
@@ -37,13 +47,30 @@ class LineSocket:
         Raises:
             DriverError: the other side is gone or does not read.
         """
-        self._socket.settimeout(1.0)
+        self._socket.settimeout(SEND_TIMEOUT_S)
         try:
-            self._socket.sendall(json.dumps(message, separators=(",", ":")).encode() + b"\n")
+            self._socket.sendall(_line(message))
         except OSError as error:
             raise DriverError(f"the loopback's other side is gone ({error}); restart it") from error
         finally:
             self._socket.setblocking(False)
+
+    def offer(self, message: Message, must_arrive: bool = False) -> None:
+        """Sends one message without ever waiting.
+
+        A reader that is behind misses messages, unless they must arrive: those wait their turn.
+
+        Raises:
+            DriverError: the other side is gone.
+        """
+        if must_arrive or not self._unsent:
+            self._unsent += _line(message)
+        try:
+            self._unsent = self._unsent[self._socket.send(self._unsent) :]
+        except (BlockingIOError, InterruptedError):
+            pass
+        except OSError as error:
+            raise DriverError(f"the loopback's other side is gone ({error})") from error
 
     def receive(self) -> list[Message]:
         """Every message that has arrived.
@@ -75,6 +102,10 @@ class LineSocket:
     def close(self) -> None:
         """Closes the connection."""
         self._socket.close()
+
+
+def _line(message: Message) -> bytes:
+    return json.dumps(message, separators=(",", ":")).encode() + b"\n"
 
 
 def pack_state(state: CellState) -> Message:

@@ -21,7 +21,7 @@ from viskill_deploy.core.errors import MotionError
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.kinematics.model import forward_batch
 from viskill_deploy.motion.limits import PlanLimits
-from viskill_deploy.motion.smoothing import AXES, AxisMotion, inside, travel_time
+from viskill_deploy.motion.smoothing import AXES, AxisMotion, inside, is_direct, travel_time
 
 SCALE_STEP = 1.15
 """Growth of the shape time scale from one try to the next."""
@@ -185,6 +185,8 @@ def _segments(
                 return None
             trajectory = travel_time(limit, start, q[i + 1, arm], v[i + 1, arm], step_s)
             if trajectory.duration > step_s + 1e-9:
+                return None
+            if not is_direct(trajectory, start, q[i + 1, arm]):
                 return None
             if not inside(limit, trajectory):
                 raise MotionError(f"step {i} passes a joint limit; move its waypoints away from it")

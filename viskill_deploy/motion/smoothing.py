@@ -29,6 +29,13 @@ ATTEMPTS = 12
 LAST_FAST_ATTEMPT = 7
 """After this many attempts the end velocity is given up: the segment ends at rest."""
 
+DUST, DUST_S = 1e-7, 1e-3
+"""Speeds (per s) and differences of position below DUST, rad or m, are rounding errors; so are
+accelerations below DUST in DUST_S."""
+
+SWING = 1e-4
+"""Rad or m by which an axis may pass its ends without a speed that explains it."""
+
 TIP_SAMPLES = 16
 
 TIP_TOLERANCE = 1.03
@@ -97,25 +104,65 @@ def travel_time(
     Raises:
         MotionError: Ruckig refuses the request.
     """
+    start = _without_dust(start)
+    request = _request(limits, start)
+    request.target_position = [
+        p if abs(goal - p) < DUST and v == 0.0 and a == 0.0 else goal
+        for goal, p, v, a in zip(target, start.p, start.v, start.a, strict=True)
+    ]
+    request.target_velocity = [
+        min(max(v, -limit), limit) for v, limit in zip(end_velocity, limits.velocity, strict=True)
+    ]
+    request.minimum_duration = minimum_s
+    return _calculated(request)
+
+
+def _without_dust(start: AxisMotion) -> AxisMotion:
+    """The same state with rounding errors in speed and acceleration taken for the zeros they are.
+
+    From a speed of 1e-12 and a stretched duration Ruckig may find a way that swings out by
+    centimetres and comes back.
+    """
+    return AxisMotion(
+        start.p,
+        tuple(0.0 if abs(v) < DUST else v for v in start.v),
+        tuple(0.0 if abs(a) < DUST / DUST_S else a for a in start.a),
+    )
+
+
+def is_direct(trajectory: Any, start: AxisMotion, target: Sequence[float]) -> bool:
+    """Whether no axis swings out farther than the speeds at the ends explain."""
+    duration = trajectory.duration
+    _, v1, _ = trajectory.at_time(duration)
+    for extrema, p, v, a, goal, w in zip(
+        trajectory.position_extrema, start.p, start.v, start.a, target, v1, strict=True
+    ):
+        room = 0.5 * duration * (abs(v) + abs(w)) + 0.125 * duration**2 * abs(a) + SWING
+        if extrema.min < min(p, goal) - room or extrema.max > max(p, goal) + room:
+            return False
+    return True
+
+
+def _request(limits: PlanLimits, start: AxisMotion) -> Any:
+    """Ruckig's input with limits and start filled in."""
     request = ruckig.InputParameter(AXES)
     request.current_position = list(start.p)
     request.current_velocity = list(start.v)
     request.current_acceleration = [
         min(max(a, -limit), limit) for a, limit in zip(start.a, limits.acceleration, strict=True)
     ]  # a rounding error above the limit makes Ruckig raise
-    request.target_position = list(target)
-    request.target_velocity = [
-        min(max(v, -limit), limit) for v, limit in zip(end_velocity, limits.velocity, strict=True)
-    ]
     request.max_velocity = list(limits.velocity)
     request.max_acceleration = list(limits.acceleration)
     request.max_jerk = list(limits.jerk)
-    request.minimum_duration = minimum_s
+    return request
+
+
+def _calculated(request: Any) -> Any:
     trajectory = ruckig.Trajectory(AXES)
     try:
         ruckig.Ruckig(AXES).calculate(request, trajectory)
     except (ruckig.RuckigError, ValueError) as error:
-        raise MotionError(f"no jerk-limited motion to {list(target)}: {error}") from error
+        raise MotionError(f"no jerk-limited motion: {error}") from error
     return trajectory
 
 
@@ -194,6 +241,9 @@ class SegmentPlanner:
             if longest > duration + 1e-9:
                 share, duration = self._slower(share, longest / duration, duration)
                 continue
+            if not all(map(is_direct, trajectories, start, target)):
+                share, duration = self._slower(share, 1.0, duration)
+                continue
             if share > 0.0 and not all(map(inside, self.limits, trajectories)):
                 share = 0.0
                 continue
@@ -206,6 +256,17 @@ class SegmentPlanner:
             "no motion inside speed, acceleration and jerk limits reaches the waypoint; "
             "ask for a smaller step"
         )
+
+    def brake(self, start: Sequence[AxisMotion]) -> Segment:
+        """The quickest jerk-limited way from a moving state to rest, wherever that is."""
+        trajectories = []
+        for limits, state in zip(self.limits, start, strict=True):
+            request = _request(limits, state)
+            request.control_interface = ruckig.ControlInterface.Velocity
+            request.target_velocity = [0.0] * AXES
+            trajectories.append(_calculated(request))
+        duration = self._whole_periods(max(t.duration for t in trajectories))
+        return Segment(duration, 1.0, tuple(trajectories))
 
     def tip_speed(self, segment: Segment) -> float:
         """Largest mean tip speed of any arm over a sixteenth of the segment, m/s."""

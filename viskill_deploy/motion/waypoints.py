@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.errors import MotionError
 from viskill_deploy.core.types import FloatArray, Waypoint
 
 ACTION_SIZE = 5
@@ -99,7 +100,12 @@ def apply_action(
         spec: meaning of the numbers.
         skill: name of the skill that acts.
         may_open_jaw: per arm, whether that skill may open a jaw that holds something.
+
+    Raises:
+        MotionError: a number of the action is not finite.
     """
+    if not np.isfinite(action).all():
+        raise MotionError("the policy answered with a number that is not finite; train it again")
     poses, jaws = [], []
     for index, arm in enumerate(cell.arms):
         a = np.clip(action[index * ACTION_SIZE : (index + 1) * ACTION_SIZE], -1.0, 1.0)

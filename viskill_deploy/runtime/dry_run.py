@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
 from viskill_deploy.core.clock import MonotonicClock
-from viskill_deploy.core.errors import MotionError, SafetyStop
+from viskill_deploy.core.errors import (
+    Interrupted,
+    KinematicsError,
+    MotionError,
+    SafetyStop,
+    ViskillError,
+)
+from viskill_deploy.core.types import Mode as GateMode
 from viskill_deploy.drivers import loopback, loopback_served
-from viskill_deploy.drivers.base import Driver
 from viskill_deploy.runtime import realtime
 from viskill_deploy.runtime.episodes import Job, closed_loop, planned
 from viskill_deploy.runtime.ledger import EpisodeResult
@@ -28,24 +37,34 @@ class DryRunOptions:
     """What to run.
 
     Attributes:
-        rate_hz: control rate, 100 to 1000.
+        distribution: layouts are drawn from it, one an episode. None draws the first from the
+            task's first distribution; later plans then start from the scene as they find it.
+        world: control period, noise and delay of the simulated cell.
         real_time: the loopback runs as a process of its own, against the clock.
         speed: part of the planned tip speed to use, in (0, 1].
-        noise: measurement noise and delay of the simulated cell.
     """
 
     episodes: int = 1
     seed: int = 0
-    distribution: str = "reference"
+    distribution: str | None = None
     mode: Mode = "closed-loop"
-    rate_hz: float = 250.0
+    world: WorldOptions = field(default_factory=WorldOptions)
     real_time: bool = False
     ik_solver: str = "daqp"
     speed: float = 1.0
-    joint_noise_rad: float = 0.0
-    joint_noise_m: float = 0.0
-    object_noise_m: float = 0.0
-    delay_periods: int = 0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended.
+
+    Attributes:
+        figures: what it came to, ready for JSON.
+        failure: what ended it early; None when all episodes were run.
+    """
+
+    figures: dict[str, Any]
+    failure: ViskillError | None
 
 
 def dry_run(
@@ -53,7 +72,8 @@ def dry_run(
     options: DryRunOptions,
     recorder: Recorder,
     progress: Callable[[EpisodeResult], None] = lambda result: None,
-) -> dict[str, Any]:
+    say: Callable[[str], None] = lambda note: None,
+) -> Outcome:
     """Runs a prepared bundle on the loopback.
 
     Args:
@@ -61,45 +81,48 @@ def dry_run(
         options: what to run.
         recorder: where it is recorded.
         progress: called after every episode.
-
-    Returns:
-        The run's figures, ready for JSON.
+        say: told what people should know before anything moves.
     """
-    notes, clock = list(prepared.notes), MonotonicClock()
-    driver = _driver(prepared, options)
+    clock, notes = MonotonicClock(), list(prepared.notes)
+    failure: ViskillError | None = None
+    connect = loopback_served.connect if options.real_time else loopback.connect
+    driver = connect(prepared.cell, options.world, options.seed)
     line = Line(prepared.cell, driver.period_s, options.ik_solver, options.speed)
-    with Session(prepared.cell, driver, line, recorder) as session:
+    with Session(prepared.cell, driver, line, recorder) as session, interruptible(session):
         if options.real_time:
-            notes += realtime.prepare()
+            notes += realtime.refusals()
+        for note in notes:
+            say(note)
         began = clock.now()
         try:
             for episode in range(options.episodes):
                 progress(_episode(session, prepared, options, episode))
-        finally:
-            if options.real_time:
-                realtime.release()
+                _go_on(session)
+        except ViskillError as error:
+            failure = error
         wall = clock.now() - began
-    return _figures(prepared, options, session, wall, notes)
+    return Outcome(_figures(prepared, options, session, wall, notes), failure)
 
 
-def _driver(prepared: Prepared, options: DryRunOptions) -> Driver:
-    if options.real_time:
-        return loopback_served.connect(prepared.cell, 1.0 / options.rate_hz, options.seed)
-    world = WorldOptions(
-        period_s=1.0 / options.rate_hz,
-        joint_noise_rad=options.joint_noise_rad,
-        joint_noise_m=options.joint_noise_m,
-        object_noise_m=options.object_noise_m,
-        delay_periods=options.delay_periods,
-    )
-    return loopback.connect(prepared.cell, world, options.seed)
+def _go_on(session: Session) -> None:
+    """Raises what ends a run between two episodes."""
+    if session.is_stop_wanted:
+        raise Interrupted("interrupted; the arms were brought to rest")
+    if session.gate.mode is GateMode.ESTOPPED:
+        raise SafetyStop("emergency stop: start a new process when the cause is gone")
+    if not session.recorder.alive:
+        raise SafetyStop("the recorder failed; look at the disk, then start again")
 
 
 def _episode(
     session: Session, prepared: Prepared, options: DryRunOptions, episode: int
 ) -> EpisodeResult:
     rng = np.random.default_rng([options.seed, episode])
-    session.driver.reset(prepared.task.sample_layout(rng, options.distribution))
+    distribution = options.distribution
+    if distribution is None and (episode == 0 or options.mode == "closed-loop"):
+        distribution = prepared.task.distributions[0]
+    if distribution is not None:
+        session.driver.reset(prepared.task.sample_layout(rng, distribution))
     began = session.driver.clock.now()
     job = Job(prepared.bundle, prepared.task)
     try:
@@ -107,8 +130,9 @@ def _episode(
             result = planned(session, job, rng, episode, options.speed)
         else:
             result = closed_loop(session, job, rng, episode)
-    except (MotionError, SafetyStop) as error:  # refused before anything moved
-        result = EpisodeResult(episode, stopped_by=str(error))
+    except (MotionError, KinematicsError, SafetyStop) as error:  # before anything moved
+        session.settle()
+        result = EpisodeResult(episode, refused=str(error))
     result.simulated_s = session.driver.clock.now() - began
     session.ledger.end_episode(result)
     return result
@@ -127,10 +151,10 @@ def _figures(
         "task": manifest.task,
         "bundle": manifest.name,
         "mode": options.mode,
-        "distribution": options.distribution,
+        "distribution": options.distribution or prepared.task.distributions[0],
         "seed": options.seed,
         "ik_solver": options.ik_solver,
-        "rate_hz": options.rate_hz,
+        "rate_hz": round(1.0 / options.world.period_s, 6),
         "real_time": options.real_time,
         **summary,
         "wall_s": wall_s,
@@ -139,3 +163,23 @@ def _figures(
         "files": [{"path": path, "sha256": digest} for path, digest in prepared.files],
         "notes": notes,
     }
+
+
+@contextlib.contextmanager
+def interruptible(session: Session) -> Iterator[None]:
+    """Ctrl-C and SIGTERM ask for a stop at the end of the cycle; a second one ends it at once."""
+
+    def ask(signum: int, frame: object) -> None:
+        if session.is_stop_wanted:
+            raise KeyboardInterrupt
+        session.ask_to_stop()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

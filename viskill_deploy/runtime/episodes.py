@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from viskill_deploy.bundle.chain import SkillChain
+from viskill_deploy.bundle.chain import Choice, SkillChain
 from viskill_deploy.bundle.format import Bundle
 from viskill_deploy.core.errors import DriverError, ViskillError
 from viskill_deploy.core.types import CellState, FloatArray, Scene, Waypoint
@@ -16,6 +17,7 @@ from viskill_deploy.motion.waypoints import apply_action
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.planning import Plan, make_plan
 from viskill_deploy.runtime.session import Session
+from viskill_deploy.runtime.thinking import decide
 from viskill_deploy.sim.tasks.base import Task
 
 
@@ -33,6 +35,7 @@ class _Seen:
 
     state: CellState
     scene: Scene
+    tips: list[FloatArray]
     observation: FloatArray
 
 
@@ -47,10 +50,13 @@ def closed_loop(
     subgoals = task.subgoals(seen.observation, seen.scene, rng)
     chain = SkillChain(job.bundle, lambda skill, _: subgoals[skill])
     waypoint = waypoint_at(session.cell, axes_of(seen.state))
+    session.recorder.mark(session.driver.clock.now(), episode, "", 0, seen.scene.active)
     while not chain.finished:
         try:
-            seen = _look(session, task)
-            waypoint = _next_waypoint(session, job, chain, seen, waypoint, result)
+            think = partial(_next_step, job, chain, _look(session, task), waypoint)
+            step = decide(session, think)
+            waypoint = step.waypoint
+            _begin_step(session, step, result)
         except (ViskillError, ValueError) as error:
             # a policy or a measurement without sense: the gate brings the arms to rest
             session.line.fail(str(error))
@@ -64,54 +70,65 @@ def closed_loop(
     return result
 
 
-def _next_waypoint(
-    session: Session,
-    job: Job,
-    chain: SkillChain,
-    seen: _Seen,
-    last: Waypoint,
-    result: EpisodeResult,
-) -> Waypoint:
-    """Asks the policy and begins the motion to the waypoint that it wants."""
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """What the policy wants next."""
+
+    choice: Choice
+    waypoint: Waypoint
+    is_last: bool
+
+
+def _next_step(job: Job, chain: SkillChain, seen: _Seen, last: Waypoint) -> _Step:
+    """Asks the policy and works out the waypoint that it wants; touches nothing of the session."""
     choice = chain.act(seen.observation)
-    note = seen.scene.active if not result.skills else ""
-    now = session.driver.clock.now()
-    session.recorder.mark(now, result.episode, choice.skill, choice.step, note)
-    spec = job.bundle.manifest.action.spec()
-    tips, cell = session.tips(seen.state), session.cell
     waypoint = apply_action(
-        last, choice.action, tips, cell, spec, choice.skill, choice.may_open_jaw
+        last,
+        choice.action,
+        seen.tips,
+        job.task.cell,
+        job.bundle.manifest.action.spec(),
+        choice.skill,
+        choice.may_open_jaw,
     )
-    stretch = session.go_to(waypoint, last=chain.finished)
+    return _Step(choice, waypoint, chain.finished)
+
+
+def _begin_step(session: Session, step: _Step, result: EpisodeResult) -> None:
+    choice = step.choice
+    now = session.driver.clock.now()
+    session.recorder.mark(now, result.episode, choice.skill, choice.step)
+    stretch = session.go_to(step.waypoint, last=step.is_last)
     skill = result.skill(choice.skill)
     skill.steps, skill.stretch_max = choice.step + 1, max(skill.stretch_max, stretch)
-    return waypoint
 
 
 def planned(
     session: Session, job: Job, rng: np.random.Generator, episode: int, speed: float = 1.0
 ) -> EpisodeResult:
     """Makes the whole plan in a simulator, checks it, and only then streams it."""
-    state, scene = session.make_ready(), _seen(session)
-    plan = make_plan(session.cell, job.task, job.bundle, axes_of(state), scene, rng, speed)
-    plan.check(session.cell, session.driver.period_s, state)
+    state, scene, cell = session.make_ready(), _seen(session), session.cell
+    held = axes_of(state)
+    measured = held.copy()  # of a jaw that squeezes, only the setpoint says how much
+    measured[:, :6] = [arm.measured_jp for arm in state.arms]
+    plan = make_plan(cell, job.task, job.bundle, measured, held, scene, rng, speed)
+    plan.check(cell, session.driver.period_s, state, session.line.ik_solver)
     session.begin()
     result = EpisodeResult(episode)
+    session.recorder.mark(session.driver.clock.now(), episode, "", 0, scene.active)
     session.line.follow(plan.motion)
     index = 0
     while not session.line.arrived:
-        reached = plan.index_at(session.line.phase + session.driver.period_s)
-        if reached != index:
-            _pass_waypoint(session, job.task, plan, result, index, reached)
-            index = reached
+        ahead = plan.index_at(session.line.phase + session.driver.period_s)
+        if ahead != index:
+            _pass_waypoint(session, job.task, plan, result, index, ahead)
+            index = ahead
         session.allow(plan.waypoints[index])
         if not session.cycle():
             session.come_to_rest(result)
             return result
     session.finish()
     _judge_skill(session, job.task, result, plan.subgoals[plan.waypoints[-1].skill])
-    for skill in result.skills:
-        skill.stretch_max = plan.motion.stretch
     result.success = _judge(session, job.task)
     return result
 
@@ -137,9 +154,11 @@ def _pass_waypoint(
     name, before = plan.waypoints[ahead].skill, plan.waypoints[passed].skill
     if before and name != before:
         _judge_skill(session, task, result, plan.subgoals[before])
-    step, note = ahead - plan.first_of(name), _seen(session).active if not before else ""
-    result.skill(name).steps = step + 1
-    session.recorder.mark(session.driver.clock.now(), result.episode, name, step, note)
+    step, skill = ahead - plan.first_of(name), result.skill(name)
+    times = plan.motion.waypoint_times
+    stretch = (times[ahead] - times[ahead - 1]) / plan.waypoints[ahead].step_s
+    skill.steps, skill.stretch_max = step + 1, max(skill.stretch_max, stretch)
+    session.recorder.mark(session.driver.clock.now(), result.episode, name, step)
 
 
 def _judge_skill(session: Session, task: Task, result: EpisodeResult, subgoal: FloatArray) -> None:
@@ -160,9 +179,9 @@ def _seen(session: Session) -> Scene:
 
 
 def _look(session: Session, task: Task) -> _Seen:
-    state, scene = session.driver.state(), _seen(session)
-    jaws = [arm.jaw_measured_jp for arm in state.arms]
-    return _Seen(state, scene, task.observe(session.tips(state), jaws, scene))
+    state, scene = session.read(), _seen(session)
+    jaws, tips = [arm.jaw_measured_jp for arm in state.arms], session.tips(state)
+    return _Seen(state, scene, tips, task.observe(tips, jaws, scene))
 
 
 def _judge(session: Session, task: Task) -> bool:

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.types import Action, FloatArray, JointSetpoint, Verdict
+from viskill_deploy.core.types import Action, FloatArray, JointSetpoint
 from viskill_deploy.kinematics.model import forward_batch, port_distances
 
-WARNINGS_KEPT = 50
+BROKEN = -1.0
+"""Margin of a rule that could not even be asked."""
 
 
 @dataclass
@@ -32,11 +33,17 @@ class SkillResult:
 
 @dataclass
 class EpisodeResult:
-    """How one episode went."""
+    """How one episode went.
+
+    Attributes:
+        stopped_by: id of the rule for which the gate stepped in; "" if it did not.
+        refused: why nothing was moved at all; "" if it was.
+    """
 
     episode: int
     success: bool = False
     stopped_by: str = ""
+    refused: str = ""
     simulated_s: float = 0.0
     skills: list[SkillResult] = field(default_factory=list)
 
@@ -63,7 +70,6 @@ class Ledger:
         self.setpoints = 0
         self.interventions = 0
         self.worst = Action.PASS
-        self.verdicts: list[Verdict] = []
         self._figures = {"rcm": 0.0, "margin": 1.0, "tip": 0.0}
         self.episodes: list[EpisodeResult] = []
 
@@ -76,15 +82,16 @@ class Ledger:
         self,
         sent: tuple[JointSetpoint, ...],
         action: Action,
-        verdicts: Sequence[Verdict],
         margins: Sequence[float],
     ) -> None:
         """Adds one control cycle."""
         self._sent.append(sent)
-        self._margins = [a if a < b else b for a, b in zip(self._margins, margins, strict=True)]
+        # a margin that is no number counts as broken, or it would be forgotten
+        self._margins = [
+            (a if a <= b else b) if b <= 1.0 else BROKEN
+            for a, b in zip(self._margins, margins, strict=True)
+        ]
         self.worst = max(self.worst, action)
-        if verdicts and len(self.verdicts) < WARNINGS_KEPT:
-            self.verdicts.extend(verdicts)
 
     def end_episode(self, result: EpisodeResult) -> None:
         """Closes an episode: its setpoints go into the figures."""
@@ -122,6 +129,7 @@ class Ledger:
             "episodes": len(done),
             "success_rate": sum(e.success for e in done) / max(len(done), 1),
             "interventions": self.interventions,
+            "refused": sum(bool(e.refused) for e in done),
             "rcm_error_max_m": self._figures["rcm"],
             "joint_margin_min": self._figures["margin"],
             "tip_speed_max_m_s": self._figures["tip"],
@@ -138,6 +146,7 @@ def _episode(result: EpisodeResult) -> dict[str, Any]:
         "episode": result.episode,
         "success": result.success,
         "stopped_by": result.stopped_by,
+        "refused": result.refused,
         "simulated_s": result.simulated_s,
         "skills": [
             {

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.errors import IkError, MotionError
+from viskill_deploy.core.errors import KinematicsError, ViskillError
 from viskill_deploy.core.types import (
     CellState,
     FloatArray,
@@ -22,12 +22,16 @@ from viskill_deploy.core.types import (
     Request,
     Waypoint,
 )
-from viskill_deploy.kinematics.arm import Arm
 from viskill_deploy.kinematics.ik import IkSolver
 from viskill_deploy.kinematics.model import SHAFT_FRAME
 from viskill_deploy.kinematics.port import PortConstraint
-from viskill_deploy.motion.resolve import resolve
-from viskill_deploy.motion.smoothing import AxisMotion, SegmentPlanner, passing_velocity
+from viskill_deploy.motion.links import CellLinks
+from viskill_deploy.motion.smoothing import (
+    AxisMotion,
+    Segment,
+    SegmentPlanner,
+    passing_velocity,
+)
 
 OFF_REFERENCE = 1e-3
 """Rad or m. A segment starts from the commanded joints instead of the last segment's end when the
@@ -77,8 +81,10 @@ class Line:
         self, cell: CellDescription, period_s: float, ik_solver: str = "daqp", speed: float = 1.0
     ) -> None:
         self.cell, self.period_s, self.rate = cell, period_s, 1.0
+        self.ik_solver = ik_solver
         self._planner = SegmentPlanner(cell, period_s, speed)
-        self._arms = [Arm(entry.arm) for entry in cell.arms]
+        self._links = CellLinks(cell)
+        self._arms = self._links.arms
         self._iks = [
             IkSolver.for_arm(arm, port=_port(entry.port_in_base), solver=ik_solver)
             for arm, entry in zip(self._arms, cell.arms, strict=True)
@@ -86,8 +92,9 @@ class Line:
         self._reference: tuple[AxisMotion, ...] = ()
         self._commanded: list[tuple[Joints, Joints]] = []
         self._motion: Motion | None = None
-        self._phase = 0.0
-        self._fault = ""
+        self._phase, self._fault = 0.0, ""
+        self._brake: Segment | None = None
+        self._ends_at_rest = True
 
     def start(self, state: CellState) -> None:
         """Stands still at the setpoints that the driver holds."""
@@ -115,12 +122,11 @@ class Line:
         """
         start = self._present()
         try:
-            target = resolve(self.cell, [waypoint], [m.p for m in start])[1]
-            end = (
-                np.zeros_like(target) if last else passing_velocity(start, target, waypoint.step_s)
-            )
-            segment = self._planner.plan(start, target.tolist(), end, waypoint.step_s)
-        except MotionError as error:
+            target = self._links.targets(waypoint, start)
+            rest = [[0.0] * len(row) for row in target]
+            end = rest if last else passing_velocity(start, np.array(target), waypoint.step_s)
+            segment = self._planner.plan(start, target, end, waypoint.step_s)
+        except (ViskillError, ValueError) as error:
             self.fail(str(error))
             return 1.0
         self.follow(segment)
@@ -130,6 +136,14 @@ class Line:
     def motion(self) -> Motion | None:
         """What the line follows at present."""
         return self._motion
+
+    @property
+    def setpoints(self) -> tuple[JointSetpoint, ...]:
+        """What the line has asked for last."""
+        return tuple(
+            JointSetpoint(q, self._end_velocity(q, motion), motion.p[6], motion.v[6])
+            for (q, _), motion in zip(self._commanded, self._reference, strict=True)
+        )
 
     @property
     def phase(self) -> float:
@@ -142,7 +156,9 @@ class Line:
 
     def follow(self, motion: Motion) -> None:
         """Begins a motion that starts where the line is now."""
-        self._motion, self._phase = motion, 0.0
+        self._motion, self._phase, self._brake = motion, 0.0, None
+        end = motion.at(motion.duration_s)
+        self._ends_at_rest = all(abs(v) <= AT_REST for m in end for v in m.v)
 
     def request(
         self, now: float, waypoint: Waypoint | None = None, holding: tuple[bool, ...] = ()
@@ -158,7 +174,7 @@ class Line:
             return Request(None, failure=self._fault)
         due = math.inf
         reference = self.sample()
-        if self._motion is not None and any(abs(v) > AT_REST for m in reference for v in m.v):
+        if self._motion is not None and not self._ends_at_rest:
             due = now + (self._motion.duration_s - self._phase) / self.rate
         may_open = waypoint.may_open_jaw if waypoint else ()
         return self.resolved(reference, due, may_open, holding)
@@ -173,16 +189,10 @@ class Line:
         """The request for smoothed states of all arms: each goes once more through its QP."""
         try:
             commanded = [self._tick(i, motion) for i, motion in enumerate(reference)]
-        except IkError as error:
-            return Request(None, failure=f"{error.cause}: {error}")
-        setpoints = tuple(
-            [
-                JointSetpoint(q, self._end_velocity(q, motion), motion.p[6], motion.v[6])
-                for (q, _), motion in zip(commanded, reference, strict=True)
-            ]
-        )
+        except KinematicsError as error:
+            return Request(None, failure=str(error))
         self._commanded, self._reference = commanded, reference
-        return Request(setpoints, "", due, may_open, holding)
+        return Request(self.setpoints, "", due, may_open, holding)
 
     def place(self, reference: tuple[AxisMotion, ...]) -> None:
         """Takes a moving state of all arms for what was commanded last."""
@@ -207,12 +217,11 @@ class Line:
         sampled = self._motion.at(time)
         over = time - self._motion.duration_s
         if over > PHASE_TOLERANCE:
-            # A part of a period is left, or the next waypoint is late: go on as fast. The next
-            # segment starts there, and 100 ms later the gate stops the arms (S19).
-            sampled = tuple(
-                AxisMotion(tuple(p + v * over for p, v in zip(m.p, m.v, strict=True)), m.v, m.a)
-                for m in sampled
-            )
+            # A part of a period is left, or the next waypoint is late: come to rest, jerk-limited.
+            # The next segment starts from wherever that has led to.
+            if self._brake is None:
+                self._brake = self._planner.brake(sampled)
+            sampled = self._brake.at(over)
         if r == 1.0:
             return sampled
         return tuple(

@@ -11,20 +11,20 @@ import numpy as np
 from viskill_deploy.bundle.chain import SkillChain
 from viskill_deploy.bundle.format import Bundle
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.errors import SafetyStop
+from viskill_deploy.core.errors import MotionError, SafetyStop
 from viskill_deploy.core.types import (
     Action,
     ArmState,
     CellState,
     FloatArray,
-    Request,
+    JointSetpoint,
     Scene,
     Waypoint,
 )
 from viskill_deploy.motion.plan import JointPlan, smooth
 from viskill_deploy.motion.resolve import densified, resolve
-from viskill_deploy.motion.smoothing import AxisMotion
-from viskill_deploy.safety.supervisor import Supervisor
+from viskill_deploy.runtime.line import Line
+from viskill_deploy.safety.rehearsal import Rehearsal
 from viskill_deploy.sim.closed_loop import ClosedLoop
 from viskill_deploy.sim.tasks.base import Task
 from viskill_deploy.sim.world import World
@@ -38,13 +38,11 @@ class Plan:
         waypoints: where it leads, the first where the arms are.
         motion: the same in joints, smoothed.
         subgoals: what each skill was told to reach.
-        success: whether the task was done in the simulator that made it.
     """
 
     waypoints: tuple[Waypoint, ...]
     motion: JointPlan
     subgoals: Mapping[str, FloatArray]
-    success: bool
 
     def first_of(self, skill: str) -> int:
         """Index of a skill's first waypoint."""
@@ -55,46 +53,46 @@ class Plan:
         index = bisect_left(self.motion.waypoint_times, time_s - 1e-9)
         return min(index, len(self.waypoints) - 1)
 
-    def _request(self, motion: Sequence[AxisMotion], time_s: float) -> Request:
-        """The request at a time, every jaw taken for one that holds something."""
-        setpoints = tuple(m.setpoint() for m in motion)
-        may_open = self.waypoints[self.index_at(time_s)].may_open_jaw
-        return Request(setpoints, may_open_jaw=may_open, holding=(True,) * len(setpoints))
+    def check(
+        self, cell: CellDescription, period_s: float, state: CellState, ik_solver: str = "daqp"
+    ) -> None:
+        """Puts every setpoint of the plan before a gate that lets nothing out.
 
-    def check(self, cell: CellDescription, period_s: float, state: CellState) -> None:
-        """Puts every setpoint of the plan before a gate of its own, with ideal arms.
+        What is judged is what will be streamed: each sample goes through the QP of its tick. The
+        arms of this rehearsal follow perfectly, and every jaw is taken for one that holds a thing.
 
         Raises:
-            SafetyStop: the gate would step in; names rule, time and arm. Nothing has moved.
+            SafetyStop: the gate would step in or ask for less speed; names rule, time and arm.
+                Nothing has moved.
         """
-        gate = Supervisor(cell, period_s)
-        at_rest = [
-            AxisMotion.at_rest((*arm.setpoint_jp, arm.jaw_setpoint_jp)) for arm in state.arms
-        ]
-        now = 1.0
-        gate.connect(_ideal(state, at_rest, now, consent=False))
-        against = gate.arm(_ideal(state, at_rest, now, consent=True), now)
-        if against:
-            raise SafetyStop(f"the plan cannot start: {_named(against[0].rule, cell, 0)}")
-        motion: Sequence[AxisMotion] = at_rest
-        for i in range(round(self.motion.duration_s / period_s + 0.5)):
-            seen = _ideal(state, motion, now, consent=True)
-            motion = self.motion.at((i + 1) * period_s)
-            decision = gate.check(seen, self._request(motion, (i + 1) * period_s), now)
-            bad = [v for v in decision.verdicts if v.action >= Action.HOLD]
-            if bad:
-                raise SafetyStop(
-                    f"the plan is refused at {i * period_s:.2f} s: "
-                    f"{_named(bad[0].rule, cell, bad[0].arm)}; nothing has moved"
-                )
+        gate, line, now = Rehearsal(cell, period_s), Line(cell, period_s, ik_solver), 1.0
+        line.start(state)
+        start = _ideal(state, line.setpoints, now, consent=False)
+        agreed = replace(start, inputs=replace(start.inputs, consent=True))
+        against = gate.begin(start, agreed, now)
+        line.follow(self.motion)
+        holding = (True,) * len(cell.arms)
+        while not against and not line.arrived:
+            seen = _ideal(state, line.setpoints, now, consent=True)
+            waypoint = self.waypoints[self.index_at(line.phase + period_s)]
+            verdicts = gate.judge(seen, line.request(now, waypoint, holding), now)
+            against = tuple(v for v in verdicts if v.action >= Action.SCALE)
+            line.advance(1.0)
             now += period_s
+        if against:
+            arm = cell.arms[against[0].arm].name if against[0].arm >= 0 else "the cell"
+            raise SafetyStop(
+                f"the plan is refused at {line.phase:.2f} s: {against[0].rule} on {arm} "
+                f"({against[0].value:.4g}, limit {against[0].limit:.4g}); nothing has moved"
+            )
 
 
 def make_plan(
     cell: CellDescription,
     task: Task,
     bundle: Bundle,
-    axes: FloatArray,
+    measured: FloatArray,
+    held: FloatArray,
     scene: Scene,
     rng: np.random.Generator,
     speed: float = 1.0,
@@ -105,16 +103,18 @@ def make_plan(
         cell: the arms in their places.
         task: what to do.
         bundle: the policy.
-        axes: axis positions of the arms, (arms, 7).
+        measured: axis positions at which the arms are, (arms, 7): where the simulation starts.
+        held: axis positions of the setpoints that their driver holds: where the plan starts.
         scene: where the objects are.
         rng: for the scripted subgoals.
         speed: part of the planned tip speed to use.
 
     Raises:
-        MotionError: the trajectory cannot be resolved or smoothed inside the limits.
+        MotionError: the trajectory cannot be resolved or smoothed inside the limits, or does not
+            do the task in the simulator.
     """
     loop = ClosedLoop(task, World(cell))
-    observation = loop.reset(scene, axes)
+    observation = loop.reset(scene, measured)
     subgoals = task.subgoals(observation, scene, rng)
     chain = SkillChain(bundle, lambda skill, _: subgoals[skill])
     skills = {skill.name: skill for skill in task.skills}
@@ -125,31 +125,33 @@ def make_plan(
         observation = loop.step(choice.action, skills[choice.skill])
         waypoints.append(loop.waypoint)
     dense = densified(waypoints)
-    q = resolve(cell, dense[1:], axes.tolist())
+    q = resolve(cell, dense[1:], held.tolist())
     motion = smooth(cell, q, cell.file.motion.step_s, speed)
-    return Plan(tuple(dense), motion, subgoals, loop.success())
+    if not loop.success():
+        raise MotionError(
+            "the plan does not do the task in the simulator and was not streamed; look at the "
+            "scene, or run the policy closed loop"
+        )
+    return Plan(tuple(dense), motion, subgoals)
 
 
-def _ideal(state: CellState, motion: Sequence[AxisMotion], now: float, consent: bool) -> CellState:
+def _ideal(
+    state: CellState, setpoints: Sequence[JointSetpoint], now: float, consent: bool
+) -> CellState:
     """What arms that follow perfectly would report."""
-    arms = tuple(_follows(arm, m, now) for arm, m in zip(state.arms, motion, strict=True))
+    arms = tuple(_follows(arm, s, now) for arm, s in zip(state.arms, setpoints, strict=True))
     inputs = replace(state.inputs, consent=consent, consent_stamp_s=now, estop=False)
     return CellState(arms, inputs)
 
 
-def _follows(arm: ArmState, motion: AxisMotion, now: float) -> ArmState:
+def _follows(arm: ArmState, setpoint: JointSetpoint, now: float) -> ArmState:
     return replace(
         arm,
         stamp_s=now,
-        measured_jp=motion.p[:6],
-        measured_jv=motion.v[:6],
-        jaw_measured_jp=motion.p[6],
-        jaw_measured_jv=motion.v[6],
-        setpoint_jp=motion.p[:6],
-        jaw_setpoint_jp=motion.p[6],
+        measured_jp=setpoint.jp,
+        measured_jv=setpoint.jv,
+        jaw_measured_jp=setpoint.jaw,
+        jaw_measured_jv=setpoint.jaw_v,
+        setpoint_jp=setpoint.jp,
+        jaw_setpoint_jp=setpoint.jaw,
     )
-
-
-def _named(rule: str, cell: CellDescription, arm: int) -> str:
-    where = cell.arms[arm].name if arm >= 0 else "the cell"
-    return f"{rule} on {where}"

@@ -29,14 +29,14 @@ class Prepared:
 
 
 def find_bundle(path: Path) -> Path:
-    """The bundle's folder: as given, or of that name in a `policies` folder of the data.
+    """The bundle's folder: as given, or, for a bare name, in a `policies` folder of the data.
 
     Raises:
         BundleError: neither is there.
     """
     if path.is_dir():
         return path
-    for root in data.data_roots():
+    for root in data.data_roots() if path.name == str(path) else ():
         candidate = root / "policies" / path.name
         if candidate.is_dir():
             return candidate
@@ -81,3 +81,9 @@ def _check_layout(bundle: Bundle, task: Task) -> None:
     theirs_skills = [(s.name, s.budget, s.may_open_jaw) for s in manifest.skills]
     if theirs_skills != [(s.name, s.budget, s.may_open_jaw) for s in task.skills]:
         raise BundleError(bundle.path, f"its skills are not those of {task.name!r}; export again")
+    step_s = task.cell.file.motion.step_s
+    if manifest.action.spec() != task.action or manifest.step_s != step_s:
+        raise BundleError(
+            bundle.path,
+            f"its actions or its step are not those of {task.name!r} here; train it again",
+        )

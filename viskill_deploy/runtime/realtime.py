@@ -37,7 +37,7 @@ def prepare() -> list[str]:
 
 
 def release() -> None:
-    """Gives normal scheduling and garbage collection back."""
+    """Gives normal scheduling, pageable memory and garbage collection back."""
     gc.enable()
     gc.unfreeze()
     if hasattr(os, "sched_setscheduler"):
@@ -45,3 +45,10 @@ def release() -> None:
     libc = ctypes.CDLL(None)
     if hasattr(libc, "munlockall"):
         libc.munlockall()
+
+
+def refusals() -> list[str]:
+    """What `prepare` would be refused, without keeping anything."""
+    notes = prepare()
+    release()
+    return notes

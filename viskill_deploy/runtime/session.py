@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.errors import DriverError, SafetyStop
+from viskill_deploy.core.errors import DriverError, SafetyStop, ViskillError
 from viskill_deploy.core.types import (
     Action,
     CellState,
@@ -22,7 +22,8 @@ from viskill_deploy.core.types import (
     Waypoint,
 )
 from viskill_deploy.drivers.base import Driver
-from viskill_deploy.kinematics.arm import Arm
+from viskill_deploy.motion.links import CellLinks
+from viskill_deploy.runtime import realtime
 from viskill_deploy.runtime.ledger import EpisodeResult, Ledger
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.safety.decision import Decision
@@ -36,6 +37,9 @@ READY_PERIODS = 50
 
 SCENE_PERIOD_S = 0.02
 """The objects are recorded at 50 Hz."""
+
+LAST_CYCLES = 5
+"""The last sample of a motion that ends at rest still moves by a micrometre; more are sent."""
 
 STOP_S = 2.0
 """Time that the gate's own stop gets before the session gives up waiting for rest."""
@@ -83,6 +87,7 @@ class Session:
 
     Attributes:
         cause: id of the rule for which the gate first stepped in since `begin`; "" if it did not.
+        is_stop_wanted: a person has asked for the end of the run.
     """
 
     def __init__(
@@ -91,12 +96,13 @@ class Session:
         self.cell, self.driver, self.line, self.recorder = cell, driver, line, recorder
         self.gate = Supervisor(cell, driver.period_s)
         self.ledger = Ledger(cell, driver.period_s, self.gate.rules)
-        self._arms = [Arm(entry.arm) for entry in cell.arms]
+        self._links = CellLinks(cell)
         self._scene_due_s = 0.0
         self.overruns, self.cause = 0, ""
         self._deadline = 0.0
         self._waypoint: Waypoint | None = None
-        self._at_rest, self._is_moving = False, False
+        self._is_stopping, self._at_rest, self._is_moving = False, False, False
+        self.is_stop_wanted = False
         self._state = CellState((), Inputs(False, 0.0, "", True))  # closed until one is read
 
     def __enter__(self) -> Self:
@@ -110,11 +116,15 @@ class Session:
     ) -> None:
         """Whatever ended the run, also Ctrl-C: the arms come to rest before the driver closes."""
         try:
-            if self._is_moving:
-                self.line.fail("the run was ended")
-                self.come_to_rest()
+            self.settle()
         finally:
             self.driver.close()
+
+    def settle(self) -> None:
+        """Brings arms that are still under way to rest."""
+        if self._is_moving:
+            self.line.fail("the run was ended")
+            self.come_to_rest()
 
     def make_ready(self) -> CellState:
         """Enables and homes the arms; returns their state. Nothing moves yet."""
@@ -125,14 +135,18 @@ class Session:
         return self.driver.state()
 
     def begin(self) -> None:
-        """Gets the operator's consent for a fresh gate and arms it; the arms are ready.
+        """Gets the operator's consent and arms the gate; the arms are ready.
+
+        What an earlier episode has latched is cleared by the simulated operator; on a real cell
+        that is a person's business, and an emergency stop is nobody's in this process.
 
         Raises:
             SafetyStop: the gate refuses; names the rules.
         """
-        self.gate = Supervisor(self.cell, self.driver.period_s)
         self._deadline = self.driver.clock.now()
         if self.driver.capabilities.simulated:
+            self.gate.reset(self._deadline)
+            self.gate.disarm()
             self.driver.say(consent=False)
         self._watch(lambda state: not state.inputs.consent)
         if self.driver.capabilities.simulated:
@@ -143,12 +157,22 @@ class Session:
             reasons = ", ".join(f"{v.rule} ({v.value:.4g}, limit {v.limit:.4g})" for v in against)
             raise SafetyStop(f"the gate refuses to arm: {reasons}; put that right and start again")
         self.line.start(state)
+        if not self.driver.capabilities.stepped:
+            realtime.prepare()
+            self._deadline = self.driver.clock.now()
         self._state, self._waypoint, self.cause = state, None, ""
-        self._at_rest, self._is_moving = False, True
+        self._is_stopping, self._at_rest, self._is_moving = False, False, True
 
     def finish(self) -> None:
-        """The motion has ended by itself, at rest."""
-        self._is_moving = False
+        """The motion has ended by itself, at rest: the gate is disarmed."""
+        for _ in range(LAST_CYCLES):
+            if not self.cycle() or self.gate.disarm() is Mode.CONNECTED:
+                break
+        self._stand_easy()
+
+    def ask_to_stop(self) -> None:
+        """A person wants the run to end: acts at the end of the present cycle."""
+        self.is_stop_wanted = True
 
     def _watch(self, seen: Callable[[CellState], bool]) -> CellState:
         """Shows the gate states until one is as awaited, or the arms had time enough for it."""
@@ -176,20 +200,22 @@ class Session:
         the arms with what it knows.
         """
         now = self.driver.clock.now()
-        state = self._read(now)
-        request = self.line.request(now, self._waypoint, self._holding(state))
+        state = self.read()
+        request = self._request(now, state)
         if not self.recorder.alive:
             self.gate.report_fault("S32", now)
         decision = self.gate.check(state, request, now)
         sent = tuple(checked.setpoint for checked in decision.setpoints)
         self._send(decision, now)
         self._note(decision)
+        if self.is_stop_wanted and not self._is_stopping:
+            self.line.fail("the operator ended the run")
         mode, verdicts = decision.mode, decision.verdicts
         # a faulty arm may report numbers that have no pose
         tips = self.tips(state) if decision.action < Action.FAULT else None
         self.recorder.cycle(now, state, request, sent, decision.action, verdicts, mode, tips)
         self._record_scene(now)
-        self.ledger.cycle(sent, decision.action, decision.verdicts, decision.margins)
+        self.ledger.cycle(sent, decision.action, decision.margins)
         self.line.advance(decision.speed_scale)
         self._wait_for_next_period()
         return decision.passed
@@ -199,39 +225,53 @@ class Session:
         deadline = self.driver.clock.now() + STOP_S
         while self.driver.clock.now() < deadline and not self._at_rest:
             self.cycle()
-        self._is_moving = False
+        self._stand_easy()
         if result is not None:
             result.stopped_by = self.cause
 
-    def _read(self, now: float) -> CellState:
+    def _stand_easy(self) -> None:
+        self._is_moving = False
+        if not self.driver.capabilities.stepped:
+            realtime.release()
+
+    def read(self) -> CellState:
         """The newest state; the last one, and a report to the gate, when the driver fails."""
         try:
             self._state = self.driver.state()
         except DriverError:
-            self.gate.report_fault("S24", now)
+            self.gate.report_fault("S24", self.driver.clock.now())
         return self._state
 
-    def _send(self, decision: Decision, now: float) -> None:
-        """Sends what the gate decided; an emergency stop also takes the power away."""
+    def _request(self, now: float, state: CellState) -> Request:
+        """What the line asks for; once the gate is stopping the arms, to stay where it leads."""
+        if self._is_stopping:
+            return Request(self.ledger.last_sent)
         try:
-            self.driver.servo_jp(decision.setpoints)
-            if decision.action is Action.ESTOP:
-                self.driver.disable()
+            return self.line.request(now, self._waypoint, self._holding(state))
+        except (ViskillError, ValueError) as error:
+            return Request(None, failure=str(error))
+
+    def _send(self, decision: Decision, now: float) -> None:
+        """Sends what the gate decided; an emergency stop takes the power away, come what may."""
+        if decision.action is Action.ESTOP:
+            self._try(self.driver.disable, now)
+        self._try(lambda: self.driver.servo_jp(decision.setpoints), now)
+
+    def _try(self, call: Callable[[], None], now: float) -> None:
+        try:
+            call()
         except DriverError:
             self.gate.report_fault("S24", now)
 
     def _note(self, decision: Decision) -> None:
         """Remembers what the gate first stepped in for, and whether its stop is over."""
-        self._at_rest = decision.at_rest
+        self._at_rest, self._is_stopping = decision.at_rest, not decision.passed
         if not self.cause:
             self.cause = next((v.rule for v in decision.verdicts if v.action >= Action.HOLD), "")
 
     def tips(self, state: CellState) -> list[FloatArray]:
         """Measured T_task_tip of every arm."""
-        return [
-            entry.T_task_base @ arm.forward(seen.measured_jp).homogeneous
-            for entry, arm, seen in zip(self.cell.arms, self._arms, state.arms, strict=True)
-        ]
+        return self._links.tips([arm.measured_jp for arm in state.arms])
 
     def _holding(self, state: CellState) -> tuple[bool, ...]:
         """Per arm, whether its jaw is told to close and something keeps it open."""

@@ -83,6 +83,13 @@ class Modes:
         self.latched, self.mode = Action.PASS, Mode.RUNNING
         return True
 
+    def disarm(self) -> bool:
+        """ARMED and RUNNING → CONNECTED. True when it did."""
+        if self.mode not in (Mode.ARMED, Mode.RUNNING):
+            return False
+        self.mode = Mode.CONNECTED
+        return True
+
     def reset(self) -> bool:
         """STOP and FAULT → CONNECTED, HOLD too; an emergency stop never. True when it did."""
         if self.latched is Action.PASS or CLEARS[self.latched] is Clear.NEVER:

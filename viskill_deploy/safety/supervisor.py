@@ -29,6 +29,9 @@ from viskill_deploy.safety.stopping import ArmStop
 CLEAN_S = 0.2
 """How long nothing must have been wrong before an operator may clear a HOLD."""
 
+STILL = 1e-6
+"""Way of an axis over the last period, rad or m, below which it is at rest."""
+
 REPORTED_ACTION = {"S32": Action.STOP}
 """What a report asks for; FAULT for every id that is not here."""
 
@@ -173,6 +176,17 @@ class Supervisor:
             self._is_armed = False
             self._cycle.is_stopping = False
             self._pending.clear()
+        return self.mode
+
+    def disarm(self) -> Mode:
+        """A run has ended at rest: ARMED or RUNNING → CONNECTED; then a fresh arm is needed.
+
+        Does nothing while the arms move or a stop is latched.
+        """
+        tracks = self._cycle.tracks
+        still = all(abs(step) <= STILL for track in tracks for step in track.step)
+        if self._is_armed and still and not self._cycle.is_stopping and self._modes.disarm():
+            self._is_armed = False
         return self.mode
 
     def report_fault(self, rule: str, now: float, value: float = nan) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from viskill_deploy.core.types import FloatArray, Scene, Waypoint
-from viskill_deploy.kinematics.arm import Arm
+from viskill_deploy.motion.links import CellLinks
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.motion.smoothing import AxisMotion, Segment, SegmentPlanner, passing_velocity
 from viskill_deploy.motion.waypoints import apply_action
@@ -32,8 +32,7 @@ class ClosedLoop:
     def __init__(self, task: Task, world: World | None = None) -> None:
         self.task, self.world = task, world or World(task.cell)
         self._planner = SegmentPlanner(task.cell, self.world.options.period_s)
-        self._arms = [Arm(arm.arm) for arm in task.cell.arms]
-        self._base_from_task = [np.linalg.inv(arm.T_task_base) for arm in task.cell.arms]
+        self._links = CellLinks(task.cell)
         self._rest(self.world.home)
 
     def _rest(self, axes: FloatArray) -> None:
@@ -61,13 +60,8 @@ class ClosedLoop:
 
     def observe(self) -> FloatArray:
         """What the policy sees now."""
-        readings = [self.world.measured(index) for index in range(len(self._arms))]
-        self._tips = [
-            cell_arm.T_task_base @ arm.forward(reading.jp).homogeneous
-            for cell_arm, arm, reading in zip(
-                self.task.cell.arms, self._arms, readings, strict=True
-            )
-        ]
+        readings = [self.world.measured(index) for index in range(len(self._links.arms))]
+        self._tips = self._links.tips([reading.jp for reading in readings])
         jaws = [reading.jaw for reading in readings]
         return self.task.observe(self._tips, jaws, self.world.scene())
 
@@ -82,17 +76,7 @@ class ClosedLoop:
         self._last = apply_action(
             self._last, action, self._tips, cell, self.task.action, skill.name, skill.may_open_jaw
         )
-        target = [
-            [*arm.inverse(back @ T, motion.p[:6]).tolist(), jaw]
-            for arm, back, T, motion, jaw in zip(
-                self._arms,
-                self._base_from_task,
-                self._last.T_task_tip,
-                self._motion,
-                self._last.jaw,
-                strict=True,
-            )
-        ]
+        target = self._links.targets(self._last, self._motion)
         wish = passing_velocity(self._motion, np.array(target), self._last.step_s)
         return self._planner.plan(self._motion, target, wish, self._last.step_s)
 

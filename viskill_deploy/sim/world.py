@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from viskill_deploy.core.description import CellArm, CellDescription
 from viskill_deploy.core.errors import ViskillError
-from viskill_deploy.core.types import FloatArray, JointSetpoint, ObjectPose, Scene
+from viskill_deploy.core.types import ActiveObject, FloatArray, JointSetpoint, ObjectPose, Scene
 from viskill_deploy.motion.resolve import resolve
 from viskill_deploy.motion.waypoints import ActionSpec, start_waypoint
 from viskill_deploy.sim.scene import BLOCKS, LONGEST_STEP_S, block_name, build_model, colour
@@ -65,21 +65,6 @@ class ArmReading:
     jv: tuple[float, ...]
     jaw: float
     jaw_v: float
-
-
-@dataclass(frozen=True, slots=True)
-class ActiveObject:
-    """What counts for success about the object that is to be moved.
-
-    Attributes:
-        T_task_object: pose, (4, 4).
-        speed_m_s: speed of its centre.
-        touched: per arm, whether any part of it touches the object.
-    """
-
-    T_task_object: FloatArray
-    speed_m_s: float
-    touched: tuple[bool, ...]
 
 
 class _ArmIndex:

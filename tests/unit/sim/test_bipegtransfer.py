@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from viskill_deploy.core.types import FloatArray, ObjectPose, Scene
+from viskill_deploy.core.types import ActiveObject, FloatArray, ObjectPose, Scene
 from viskill_deploy.motion.waypoints import downward_pose
 from viskill_deploy.sim.tasks import load_task
 from viskill_deploy.sim.tasks.bipegtransfer import fixed_euler
-from viskill_deploy.sim.world import ActiveObject
 
 TASK = load_task("bipegtransfer")
 GOLDEN = Path(__file__).parents[2] / "golden" / "bipegtransfer_observation.json"

@@ -12,9 +12,8 @@ import numpy as np
 
 from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import DataFileError
-from viskill_deploy.core.types import FloatArray, Scene
+from viskill_deploy.core.types import ActiveObject, FloatArray, Scene
 from viskill_deploy.motion.waypoints import ActionSpec
-from viskill_deploy.sim.world import ActiveObject
 
 PACKAGE = "viskill_deploy.sim.tasks"
 

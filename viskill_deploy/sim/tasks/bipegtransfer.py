@@ -14,11 +14,10 @@ import numpy as np
 
 from viskill_deploy.core.description import Block, Board, CellDescription
 from viskill_deploy.core.errors import DataFileError
-from viskill_deploy.core.types import FloatArray, ObjectPose, Scene
+from viskill_deploy.core.types import ActiveObject, FloatArray, ObjectPose, Scene
 from viskill_deploy.motion.waypoints import ActionSpec
 from viskill_deploy.sim.tasks import bipegtransfer_script as script
 from viskill_deploy.sim.tasks.base import Layout, SkillSpec
-from viskill_deploy.sim.world import ActiveObject
 
 ACTIVE_PEGS = (11, 6, 9, 10)
 START_PEGS = (6, 7, 8, 9, 10, 11)

@@ -1,0 +1,46 @@
+"""Deciding what comes next without leaving the arms alone.
+
+In stepped time nothing moves while a decision is made, so it is simply made. Against the clock the
+decision is made in a thread of its own, and the control loop goes on: a late one finds the arms
+braking, and 100 ms after it was due the gate stops them (S19).
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import TypeVar
+
+from viskill_deploy.core.errors import SafetyStop
+from viskill_deploy.runtime.session import Session
+
+T = TypeVar("T")
+
+
+def decide(session: Session, question: Callable[[], T]) -> T:
+    """The answer to `question`; the control loop goes on meanwhile where time does.
+
+    Args:
+        session: what goes on.
+        question: touches nothing of the session, which another thread drives.
+
+    Raises:
+        SafetyStop: the gate stepped in before there was an answer.
+    """
+    if session.driver.capabilities.stepped:
+        return question()
+    answer: Future[T] = Future()
+
+    def think() -> None:
+        try:
+            answer.set_result(question())
+        except BaseException as error:  # noqa: BLE001 - handed on to the caller as it is
+            answer.set_exception(error)
+
+    # a daemon: a policy that hangs for ever must not keep the process
+    threading.Thread(target=think, name="policy", daemon=True).start()
+    while not answer.done():
+        if not session.cycle():
+            raise SafetyStop("the gate stepped in while the policy was thinking")
+    return answer.result()
