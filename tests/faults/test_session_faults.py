@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from viskill_deploy.core.description import load_cell
-from viskill_deploy.core.errors import DriverError
+from viskill_deploy.core.errors import DriverError, SafetyStop
 from viskill_deploy.core.types import CellState, Mode, Request
 from viskill_deploy.drivers.base import DISABLED
 from viskill_deploy.drivers.loopback import LoopbackDriver
@@ -170,6 +170,53 @@ def test_the_emergency_stop_takes_the_power_away() -> None:
     assert session.cause == "S23"
     assert notebook.modes[-1] is Mode.ESTOPPED
     assert driver.state().arms[0].operating_state == DISABLED
+
+
+def test_the_power_goes_also_when_the_driver_refuses_everything_else() -> None:
+    session, driver, _ = running()
+
+    def refuse() -> None:
+        raise DriverError("not ready")
+
+    driver.on_servo = refuse
+    driver.say(estop=True)
+    driver.cycles = FAULT_AT
+    session.cycle()
+    assert driver.cell.state(0.0).arms[0].operating_state == DISABLED
+
+
+def test_nobody_arms_again_after_an_emergency_stop_in_this_process() -> None:
+    session, driver, _ = running()
+    driver.say(estop=True)
+    assert not session.cycle()
+    driver.say(estop=False)
+    session.make_ready()
+    with pytest.raises(SafetyStop):
+        session.begin()
+
+
+def test_a_fault_is_cleared_by_the_operator_and_armed_afresh() -> None:
+    session, driver, _ = running()
+    driver.on_state = nan_measured
+    run_out(session, driver)
+    assert session.gate.mode is Mode.FAULT
+    driver.on_state = lambda state: state
+    session.make_ready()
+    session.begin()
+    assert session.gate.mode is Mode.ARMED
+    assert session.cycle()
+
+
+def test_an_operator_who_wants_to_stop_is_heard_within_a_cycle() -> None:
+    session, driver, _ = running()
+    for _ in range(FAULT_AT):
+        assert session.cycle()
+    session.ask_to_stop()
+    session.cycle()
+    assert not session.cycle()
+    session.come_to_rest()
+    assert session.cause == "S16"
+    assert_stopped_smoothly(driver)
 
 
 def test_a_line_without_solution_is_a_stop_not_an_exception() -> None:

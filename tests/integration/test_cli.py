@@ -2,10 +2,12 @@
 
 import json
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from viskill_deploy.observe.reading import read_recording
@@ -83,20 +85,49 @@ def test_the_rate_may_be_chosen(tmp_path: Path) -> None:
     assert result["setpoints"] == pytest.approx(2 * 500 * result["simulated_s"], rel=0.01)
 
 
-def test_a_served_loopback_in_real_time_does_the_task(tmp_path: Path) -> None:
-    options = ("--realtime", "--rate", 100, "--no-video", "--json", "--output", tmp_path / "run")
-    run = viskill("dry-run", BUNDLE, *options, cwd=tmp_path)
+@pytest.mark.parametrize("mode", ["closed-loop", "plan"])
+def test_a_served_loopback_in_real_time_streams_setpoint_by_setpoint(
+    mode: str, tmp_path: Path
+) -> None:
+    options = ("--realtime", "--rate", 100, "--mode", mode, "--no-video", "--json")
+    run = viskill("dry-run", BUNDLE, *options, "--output", tmp_path / "run", cwd=tmp_path)
     result = json.loads(run.stdout)
     assert result["real_time"] is True
-    assert result["realtime_factor"] <= 1.01
     assert result["setpoints"] > 0
+    assert result["refused"] == 0
+    # a machine that is busy with other tests may be too late for the gate, and nothing else
+    causes = {episode["stopped_by"] for episode in result["episode_results"]} - {""}
+    assert causes <= {"S18", "S19", "S20", "S24"}
+    assert run.returncode == (5 if causes else 0), run.stderr
+    assert causes or result["success_rate"] == 1.0
 
 
-def test_the_dry_run_never_imports_torch(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_brings_the_arms_to_rest_and_leaves_a_report(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-m", "viskill_deploy.cli.main", "dry-run", str(BUNDLE)]
+    command += ["--episodes", "50", "--no-video", "--json", "--output", str(tmp_path / "run")]
+    run = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    recording = tmp_path / "run" / "recording"
+    while run.poll() is None and not any(recording.glob("*.mcap")):
+        pass
+    run.send_signal(number)
+    out, err = run.communicate(timeout=60)
+    assert run.returncode == 130, err
+    assert b"brought to rest" in err
+    assert (tmp_path / "run" / "report.html").is_file()
+    result = json.loads(out)
+    assert 1 <= result["episodes"] < 50
+    last = read_recording(recording).joints["/PSM1/setpoint_js"]
+    assert np.abs(np.diff(last.position[-2:], axis=0)).max() < 1e-6
+
+
+def test_a_dry_run_works_where_torch_cannot_be_imported(tmp_path: Path) -> None:
     code = (
         "import sys; sys.modules['torch'] = None\n"
         "from viskill_deploy.cli.main import main\n"
-        f"sys.argv = ['viskill', 'inspect', {str(BUNDLE)!r}]\n"
+        f"sys.argv = ['viskill', 'dry-run', {str(BUNDLE)!r}, '--no-video', '--output', 'run']\n"
         "main()\n"
     )
     run = subprocess.run(
@@ -143,6 +174,7 @@ def test_a_missed_requirement_ends_with_exit_code_1(untrained_bundle: Path, tmp_
         ("dry-run", BUNDLE, "--distribution", "elsewhere"),
         ("dry-run", BUNDLE, "--ik-solver", "magic"),
         ("dry-run", BUNDLE, "--mode", "hope"),
+        ("dry-run", BUNDLE, "--output", __file__),
         ("no-such-command",),
     ],
 )

@@ -8,12 +8,14 @@ import json
 import os
 import platform
 import sys
+from ctypes.util import find_library
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from viskill_deploy.core import data
+from viskill_deploy.bundle.format import load_bundle
+from viskill_deploy.core import data, realtime
 from viskill_deploy.core.description import ToolFile, load_cell, load_robot, read_toml
 from viskill_deploy.core.errors import ViskillError
 
@@ -38,18 +40,29 @@ def command(
 
 def _examine() -> dict[str, Any]:
     files, problems = _data_files()
+    parts = {part: _version(part) for part in PARTS}
+    problems += [
+        f"{part} is missing; install viskill-deploy again" for part in PARTS if not parts[part]
+    ]
+    bundles = _bundles()
+    for bundle in bundles:
+        try:
+            load_bundle(Path(bundle))
+        except ViskillError as error:
+            problems.append(str(error))
     return {
-        "viskill_deploy": importlib.metadata.version("viskill-deploy"),
+        "viskill_deploy": _version("viskill-deploy"),
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.release()}, {os.cpu_count()} cores",
-        "parts": {part: importlib.metadata.version(part) for part in PARTS},
+        "parts": parts,
         "extras": {
             extra: importlib.util.find_spec(module) is not None for extra, module in EXTRAS.items()
         },
-        "real_time": _may_schedule(),
+        "real_time_refusals": realtime.refusals(),
+        "video": {lib: find_library(lib) is not None for lib in ("EGL", "OSMesa")},
         "data_roots": [str(root) for root in data.data_roots() if root.is_dir()],
         "data_files": files,
-        "bundles": _bundles(),
+        "bundles": bundles,
         "problems": problems,
     }
 
@@ -82,14 +95,12 @@ def _bundles() -> list[str]:
     return sorted({str(path.parent) for path in manifests})
 
 
-def _may_schedule() -> bool:
-    """Whether SCHED_FIFO is granted; gives normal scheduling back at once."""
+def _version(part: str) -> str:
+    """Version of an installed part, "" when it is missing."""
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-    except (AttributeError, OSError):
-        return False
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    return True
+        return importlib.metadata.version(part)
+    except importlib.metadata.PackageNotFoundError:
+        return ""
 
 
 def _print(found: dict[str, Any]) -> None:
@@ -98,10 +109,11 @@ def _print(found: dict[str, Any]) -> None:
     for extra, there in found["extras"].items():
         hint = "installed" if there else f"not installed: pip install 'viskill-deploy[{extra}]'"
         print(f"extra {extra}: {hint}")
-    if found["real_time"]:
-        print("real-time scheduling: granted")
-    else:
-        print("real-time scheduling: refused; add an rtprio entry to /etc/security/limits.conf")
+    for refusal in found["real_time_refusals"] or ["granted, and memory can be locked"]:
+        print(f"real-time scheduling: {refusal}")
+    drawn = [lib for lib, there in found["video"].items() if there]
+    hint = "none; on Debian or Ubuntu: apt-get install libosmesa6, or libegl1 libgl1-mesa-dri"
+    print(f"graphics for videos: {', '.join(drawn) or hint}")
     print("data:    " + ", ".join(found["data_roots"]) + f" ({len(found['data_files'])} files)")
     for bundle in found["bundles"]:
         print(f"bundle:  {Path(bundle)}")

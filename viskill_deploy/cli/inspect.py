@@ -10,8 +10,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from viskill_deploy.bundle.format import Manifest
-from viskill_deploy.runtime.preflight import prepare
+from viskill_deploy.bundle.format import Manifest, load_bundle
+from viskill_deploy.runtime.preflight import find_bundle, prepare
 
 EXAMPLE = "Example: viskill inspect policies/bipegtransfer-imitation"
 
@@ -21,13 +21,15 @@ def command(
     json_: Annotated[bool, typer.Option("--json", help="Print the manifest as JSON.")] = False,
 ) -> None:
     """Check a policy bundle and show what it holds."""
-    prepared = prepare(bundle)
-    manifest = prepared.bundle.manifest
+    folder = find_bundle(bundle)
+    manifest = load_bundle(folder).manifest
     if json_:
         print(json.dumps(manifest.model_dump(mode="json", by_alias=True)))
         return
     _print(manifest, Console())
-    print(f"every file of {prepared.bundle.path} is as exported, and fits cell {manifest.cell}")
+    print(f"every file of {folder} is as exported")
+    prepare(folder)
+    print(f"it fits the cell {manifest.cell} of this installation")
 
 
 def _print(manifest: Manifest, console: Console) -> None:

@@ -11,6 +11,7 @@ import selectors
 import socket
 from pathlib import Path
 
+from viskill_deploy.core import realtime
 from viskill_deploy.core.clock import MonotonicClock
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import DriverError, ViskillError
@@ -158,6 +159,7 @@ def main() -> None:
         listener.bind(str(args.socket))
         args.socket.chmod(0o600)
         listener.listen()
+        realtime.prepare()  # a robot's controller would not wait for other programs either
         LoopbackServer(world, listener).run()
 
 

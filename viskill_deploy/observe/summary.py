@@ -91,9 +91,11 @@ def facts(result: Result) -> list[Fact]:
         _fact(result, "interventions", "Interventions", "{:d}", lambda v: v == 0),
         _fact(result, "realtime_factor", "Real-time factor", "{:.1f}×"),
         _fact(result, "rcm_error_max_m", "Remote centre", "{:.3f} mm", scale=1e3),
-        _fact(result, "joint_margin_min", "Joint margin", "{:.4f}"),
+        _fact(result, "joint_margin_min", "Joint margin", "{:.1f} % of range", scale=100),
         _fact(result, "tip_speed_max_m_s", "Tip speed", "{:.1f} mm/s", scale=1e3),
         _fact(result, "setpoints", "Setpoints", "{:,d}"),
+        _fact(result, "refused", "Refused", "{:d}", lambda v: v == 0),
+        _fact(result, "overruns", "Overruns", "{:d}") if result.get("real_time") else None,
     ]
     return [row for row in rows if row is not None]
 

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from viskill_deploy.core import realtime
 from viskill_deploy.core.clock import MonotonicClock
 from viskill_deploy.core.errors import (
     Interrupted,
@@ -21,7 +22,6 @@ from viskill_deploy.core.errors import (
 )
 from viskill_deploy.core.types import Mode as GateMode
 from viskill_deploy.drivers import loopback, loopback_served
-from viskill_deploy.runtime import realtime
 from viskill_deploy.runtime.episodes import Job, closed_loop, planned
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.line import Line

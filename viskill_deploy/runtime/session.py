@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Protocol, Self
 
+from viskill_deploy.core import realtime
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DriverError, SafetyStop, ViskillError
 from viskill_deploy.core.types import (
@@ -23,7 +24,6 @@ from viskill_deploy.core.types import (
 )
 from viskill_deploy.drivers.base import Driver
 from viskill_deploy.motion.links import CellLinks
-from viskill_deploy.runtime import realtime
 from viskill_deploy.runtime.ledger import EpisodeResult, Ledger
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.safety.decision import Decision

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from viskill_deploy.bundle.format import load_bundle
+from viskill_deploy.bundle.format import Bundle, load_bundle
 from viskill_deploy.core.description import load_cell
-from viskill_deploy.core.errors import MotionError, SafetyStop
+from viskill_deploy.core.errors import MotionError, NoSolutionError, SafetyStop
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.runtime.episodes import axes_of
 from viskill_deploy.runtime.planning import Plan, make_plan
@@ -18,6 +18,12 @@ from viskill_deploy.sim.tasks.base import load_task
 ROOT = Path(__file__).resolve().parents[3]
 CELL = load_cell("bipegtransfer")
 TASK = load_task("bipegtransfer")
+
+
+def made(
+    bundle: Bundle, driver: LoopbackDriver, axes: np.ndarray, rng: np.random.Generator
+) -> Plan:
+    return make_plan(CELL, TASK, bundle, axes, axes, driver.scene(), rng)
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +35,7 @@ def ready() -> Iterator[tuple[Plan, LoopbackDriver]]:
     driver.enable()
     driver.home()
     bundle = load_bundle(ROOT / "policies" / "bipegtransfer-imitation")
-    plan = make_plan(CELL, TASK, bundle, axes_of(driver.state()), driver.scene(), rng)
+    plan = made(bundle, driver, axes_of(driver.state()), rng)
     yield plan, driver
     driver.close()
 
@@ -46,11 +52,10 @@ def test_a_plan_starts_where_the_arms_are_and_ends_at_rest(
         assert max(map(abs, motion.v)) < 1e-6
 
 
-def test_a_plan_knows_its_stretch_and_whether_it_worked_in_the_simulator(
+def test_a_plan_knows_its_stretch(
     ready: tuple[Plan, LoopbackDriver],
 ) -> None:
     plan, _ = ready
-    assert plan.success
     assert plan.motion.stretch >= 1.0
     meant = 0.2 * (len(plan.waypoints) - 1)
     assert plan.motion.duration_s == pytest.approx(plan.motion.stretch * meant)
@@ -74,7 +79,7 @@ def test_a_plan_that_is_too_fast_is_refused_with_rule_and_arm(
         start += hurried.duration_s
     times = tuple(t / 3 for t in plan.motion.waypoint_times)
     fast = replace(plan, motion=replace(plan.motion, runs=tuple(runs), waypoint_times=times))
-    with pytest.raises(SafetyStop, match=r"refused at .* S\d\d on PSM\d; nothing has moved"):
+    with pytest.raises(SafetyStop, match=r"refused at .* S\d\d on PSM\d .*nothing has moved"):
         fast.check(CELL, driver.period_s, driver.state())
 
 
@@ -86,12 +91,21 @@ def test_a_plan_from_another_start_is_refused(ready: tuple[Plan, LoopbackDriver]
         plan.check(CELL, driver.period_s, replace(state, arms=(moved, state.arms[1])))
 
 
-def test_objects_out_of_the_arms_reach_are_a_named_refusal_not_a_motion(
+def test_arms_that_start_inside_their_cannulas_are_a_named_refusal_not_a_motion(
     ready: tuple[Plan, LoopbackDriver],
 ) -> None:
     _, driver = ready
     axes = axes_of(driver.state())
     axes[0, 2] = 0.02
     bundle = load_bundle(ROOT / "policies" / "bipegtransfer-imitation")
-    with pytest.raises(MotionError):
-        make_plan(CELL, TASK, bundle, axes, driver.scene(), np.random.default_rng(0))
+    with pytest.raises((MotionError, NoSolutionError)):
+        made(bundle, driver, axes, np.random.default_rng(0))
+
+
+def test_a_plan_that_fails_in_the_simulator_is_not_streamed(
+    untrained_bundle: Path, ready: tuple[Plan, LoopbackDriver]
+) -> None:
+    _, driver = ready
+    axes = axes_of(driver.state())
+    with pytest.raises(MotionError, match="does not do the task in the simulator"):
+        made(load_bundle(untrained_bundle), driver, axes, np.random.default_rng(0))
