@@ -16,8 +16,9 @@ import onnxruntime
 from onnxruntime.capi import onnxruntime_pybind11_state as ort_errors
 from pydantic import Field, ValidationError
 
-from viskill_deploy.core.description import CellDescription, Positive, Table
+from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import BundleError
+from viskill_deploy.core.robot_files import Positive, Table
 from viskill_deploy.motion.waypoints import ActionSpec
 
 MANIFEST = "manifest.json"

@@ -16,8 +16,9 @@ import typer
 
 from viskill_deploy.bundle.format import load_bundle
 from viskill_deploy.core import data, realtime
-from viskill_deploy.core.description import ToolFile, load_cell, load_robot, read_toml
+from viskill_deploy.core.description import load_cell, load_robot
 from viskill_deploy.core.errors import ViskillError
+from viskill_deploy.core.robot_files import ToolFile, read_toml
 
 EXAMPLE = "Example: viskill doctor --json"
 

@@ -19,16 +19,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from viskill_deploy.core import data
-from viskill_deploy.core.description import (
-    ArmDescription,
-    RobotFile,
-    Table,
-    ToolFile,
-    join,
-    read_toml,
-    validated,
-)
+from viskill_deploy.core.description import ArmDescription, join
 from viskill_deploy.core.errors import DataFileError
+from viskill_deploy.core.robot_files import RobotFile, Table, ToolFile, read_toml, validated
 
 WRITTEN_QUARTER_TURN = 1.5708
 GENERATIONS = {"Classic": "psm_classic", "Si": "psm_si"}

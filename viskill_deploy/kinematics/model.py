@@ -10,7 +10,8 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from viskill_deploy.core.description import ArmDescription, PrismaticJoint, RevoluteJoint
+from viskill_deploy.core.description import ArmDescription
+from viskill_deploy.core.robot_files import PrismaticJoint, RevoluteJoint
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.kinematics.pose import checked_rows
 

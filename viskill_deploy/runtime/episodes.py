@@ -66,6 +66,7 @@ def closed_loop(
         if chain.between_skills:
             _judge_skill(session, task, result, subgoals[waypoint.skill])
     session.finish()
+    result.stopped_by = session.cause
     result.success = _judge(session, task)
     return result
 
@@ -128,6 +129,7 @@ def planned(
             session.come_to_rest(result)
             return result
     session.finish()
+    result.stopped_by = session.cause
     _judge_skill(session, job.task, result, plan.subgoals[plan.waypoints[-1].skill])
     result.success = _judge(session, job.task)
     return result

@@ -13,7 +13,8 @@ import math
 import mujoco
 import numpy as np
 
-from viskill_deploy.core.description import CellArm, Jaw, PrismaticJoint, RevoluteJoint
+from viskill_deploy.core.description import CellArm
+from viskill_deploy.core.robot_files import Jaw, PrismaticJoint, RevoluteJoint
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.sim.materials import CONTACT_SOLIMP, CONTACT_SOLREF, FRICTION, Touch
 

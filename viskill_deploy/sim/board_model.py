@@ -11,7 +11,7 @@ import math
 import mujoco
 import numpy as np
 
-from viskill_deploy.core.description import Block, Board
+from viskill_deploy.core.robot_files import Block, Board
 from viskill_deploy.sim.materials import CONTACT_SOLIMP, CONTACT_SOLREF, FRICTION, Touch
 
 TABLE_HALF_M = (0.30, 0.30, 0.02)

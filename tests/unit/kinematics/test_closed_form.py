@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from viskill_deploy.core import data
-from viskill_deploy.core.description import ToolFile, load_robot, read_toml
+from viskill_deploy.core.description import load_robot
 from viskill_deploy.core.errors import IkError, KinematicsError, NoSolutionError
+from viskill_deploy.core.robot_files import ToolFile, read_toml
 from viskill_deploy.kinematics.arm import Arm
 from viskill_deploy.kinematics.closed_form import (
     BRANCHES,
