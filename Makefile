@@ -6,7 +6,7 @@ BUNDLE ?= policies/bipegtransfer-imitation
 # The CPU suffices for training and tests; name another build of torch here if you have a GPU.
 TORCH  ?= torch==2.13.0
 
-.PHONY: demo test lint unit wheel-check bench figures clean
+.PHONY: demo test lint unit slow wheel-check bench figures clean
 
 demo: $(VENV)/.runtime
 	$(BIN)/viskill dry-run $(BUNDLE)
@@ -28,6 +28,11 @@ unit: $(VENV)/.dev
 	$(BIN)/coverage report --fail-under=90 | tail -n 25
 	$(BIN)/coverage report --include='viskill_deploy/safety/*' --fail-under=100
 
+# Tests that take minutes, such as 100,000 random ticks of the IK.
+slow: $(VENV)/.dev
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 -m slow
+	@echo "make slow: the long tests passed."
+
 # The wheel, alone in an environment of its own without torch, does the main job.
 wheel-check: $(VENV)/.dev
 	rm -rf build/wheel && mkdir -p build/wheel
@@ -45,7 +50,8 @@ bench: $(VENV)/.dev
 # The figures of the README and docs/results.md.
 figures: $(VENV)/.runtime
 	for mode in closed-loop plan; do \
-	  $(BIN)/viskill dry-run $(BUNDLE) --episodes 100 --mode $$mode --no-video --json || exit; done
+	  $(BIN)/viskill dry-run $(BUNDLE) --episodes 100 --distribution reference --mode $$mode \
+	    --no-video --json || exit; done
 	$(BIN)/viskill dry-run $(BUNDLE) --episodes 100 --distribution wide --no-video --json
 	$(BIN)/viskill dry-run $(BUNDLE) --episodes 100 --ik-solver osqp --no-video --json
 
