@@ -86,5 +86,5 @@ def test_what_qpsolvers_raises_becomes_a_named_refusal(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(qpsolvers, "solve_problem", fail)
     with pytest.raises(IkError, match="gave up") as refusal:
-        make_solver("osqp", 6, 0, 0.0).solve(H, f, lower, upper, None)
+        make_solver("proxqp", 6, 0, 0.0).solve(H, f, lower, upper, None)
     assert refusal.value.cause == "infeasible"
