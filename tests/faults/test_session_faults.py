@@ -95,7 +95,7 @@ def assert_stopped_smoothly(driver: FaultyDriver) -> None:
     limits = np.array([*CELL.arms[0].arm.limit(3), *CELL.arms[1].arm.limit(3)])
     acceleration = np.abs(np.diff(q, n=2, axis=0)) / driver.period_s**2
     assert (acceleration <= limits * 1.001).all()
-    assert np.abs(np.diff(q[-2:], axis=0)).max() < 1e-6
+    assert np.abs(np.diff(q[-2:], axis=0)).max() < 1e-9
 
 
 def nan_measured(state: CellState) -> CellState:

@@ -120,7 +120,7 @@ def test_a_signal_brings_the_arms_to_rest_and_leaves_a_report(
     result = json.loads(out)
     assert 1 <= result["episodes"] < 50
     last = read_recording(recording).joints["/PSM1/setpoint_js"]
-    assert np.abs(np.diff(last.position[-2:], axis=0)).max() < 1e-6
+    assert np.abs(np.diff(last.position[-2:], axis=0)).max() < 1e-9
 
 
 def test_a_dry_run_works_where_torch_cannot_be_imported(tmp_path: Path) -> None:

@@ -225,6 +225,7 @@ class Session:
         deadline = self.driver.clock.now() + STOP_S
         while self.driver.clock.now() < deadline and not self._at_rest:
             self.cycle()
+        self.cycle()  # the last sample of the stop once more: the record ends at rest
         self._stand_easy()
         if result is not None:
             result.stopped_by = self.cause
