@@ -169,7 +169,9 @@ def _judge_skill(session: Session, task: Task, result: EpisodeResult, subgoal: F
         skill = result.skills[-1]
         with contextlib.suppress(ViskillError, ValueError):  # nothing to judge by
             observation = _look(session, task).observation
-            reached = task.achieved(skill.name, observation, session.driver.active_object().touched)
+            reached = task.achieved(
+                skill.name, observation, task.flags(session.driver.active_object())
+            )
             skill.success = task.skill_success(reached, subgoal)
 
 

@@ -92,9 +92,9 @@ class ClosedLoop:
         self._motion, self.stretch = segment.at(segment.duration_s), segment.stretch
         return self.observe()
 
-    def touched(self) -> tuple[bool, ...]:
-        """Per arm, whether it touches the active object."""
-        return self.world.active_object().touched
+    def flags(self) -> tuple[bool, ...]:
+        """The contacts that the task's subgoals speak of."""
+        return self.task.flags(self.world.active_object())
 
     def success(self) -> bool:
         """Whether the task is done now."""

@@ -152,3 +152,14 @@ def test_the_script_never_opens_a_jaw_that_its_skill_may_not_open() -> None:
     obs[0:3] = obs[23:26] + np.array([0.0, 0.0, 0.0132])  # PSM1 holds the block
     goal = np.array([0.0, 0.0, 0.07, 0.01, 0.02, 0.05, 1.0, 0.0])
     assert TASK.scripted_action("handover", obs, goal)[4] < 0
+
+
+def test_chosen_positions_get_the_contacts_that_the_skill_ends_with() -> None:
+    obs, layout = np.arange(35.0), TASK.sample_layout(np.random.default_rng(0), "reference")
+    assert TASK.complete_subgoal("handover", np.arange(6.0), obs, layout).tolist() == [
+        *range(6),
+        1,
+        0,
+    ]
+    final = TASK.final_subgoal(obs, layout)
+    assert final.tolist() == [7, 8, 9, *layout.goal.tolist(), 0, 0]

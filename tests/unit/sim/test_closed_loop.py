@@ -19,7 +19,7 @@ def episode(loop: ClosedLoop, seed: int, distribution: str) -> tuple[bool, Float
         goal = goals[skill.name]
         for _ in range(skill.budget):
             obs = loop.step(TASK.scripted_action(skill.name, obs, goal), skill)
-        reached.append(TASK.skill_success(TASK.achieved(skill.name, obs, loop.touched()), goal))
+        reached.append(TASK.skill_success(TASK.achieved(skill.name, obs, loop.flags()), goal))
     return loop.success(), obs, reached
 
 

@@ -97,7 +97,24 @@ class Task(Protocol):
         """The scripted controller's action, five numbers an arm in [-1, 1]."""
         ...
 
-    def achieved(self, skill: str, observation: FloatArray, touched: Sequence[bool]) -> FloatArray:
+    def complete_subgoal(
+        self, skill: str, positions: FloatArray, observation: FloatArray, scene: Scene
+    ) -> FloatArray:
+        """The subgoal of a skill before the last one, from what a chaining policy chose, (6,).
+
+        Adds the flags, and overrules the choice where the task leaves none.
+        """
+        ...
+
+    def final_subgoal(self, observation: FloatArray, scene: Scene) -> FloatArray:
+        """The last skill's subgoal, from the task's own goal and what is seen at its start."""
+        ...
+
+    def flags(self, thing: ActiveObject) -> tuple[bool, ...]:
+        """The contacts that subgoals speak of, in the order of a subgoal's flags."""
+        ...
+
+    def achieved(self, skill: str, observation: FloatArray, flags: Sequence[bool]) -> FloatArray:
         """What stands where the skill's subgoal would stand, from what is seen."""
         ...
 

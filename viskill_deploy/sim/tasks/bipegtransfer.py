@@ -43,6 +43,9 @@ SKILLS = (
     SkillSpec("release", 20, (True, True)),
 )
 
+CONTACTS = {"grasp": (0.0, 1.0), "handover": (1.0, 0.0), "release": (0.0, 0.0)}
+"""Which arms touch the block at the end of each skill."""
+
 OBSERVATION: Layout = (
     ("psm1_position", 3),
     ("psm1_euler", 3),
@@ -162,9 +165,9 @@ class BiPegTransfer:
         carried[:2] += HANDOVER_SHARE * (over_goal - meet1[:2])
         lifted = np.array([*seen.frames[1].position[:2], meet2[2]])
         return {
-            "grasp": np.concatenate([meet1 + up, lifted, [0.0, 1.0]]),
-            "handover": np.concatenate([meet2 + up, carried, [1.0, 0.0]]),
-            "release": np.concatenate([meet2 + up, scene.goal, [0.0, 0.0]]),
+            "grasp": np.concatenate([meet1 + up, lifted, CONTACTS["grasp"]]),
+            "handover": np.concatenate([meet2 + up, carried, CONTACTS["handover"]]),
+            "release": np.concatenate([meet2 + up, scene.goal, CONTACTS["release"]]),
         }
 
     def scripted_action(
@@ -173,7 +176,22 @@ class BiPegTransfer:
         """The scripted controller's action, (10,)."""
         return script.act(skill, observation, subgoal, self.action)
 
-    def achieved(self, skill: str, observation: FloatArray, touched: Sequence[bool]) -> FloatArray:
+    def complete_subgoal(
+        self, skill: str, positions: FloatArray, observation: FloatArray, scene: Scene
+    ) -> FloatArray:
+        """Chosen positions (6,) with the contacts that the skill has to end with, (8,)."""
+        del observation, scene
+        return np.concatenate([positions, CONTACTS[skill]])
+
+    def final_subgoal(self, observation: FloatArray, scene: Scene) -> FloatArray:
+        """The block at the goal, PSM2 where it is, (8,)."""
+        return np.concatenate([observation[7:10], scene.goal, CONTACTS["release"]])
+
+    def flags(self, thing: ActiveObject) -> tuple[bool, ...]:
+        """Per arm, whether it touches the block."""
+        return thing.touched
+
+    def achieved(self, skill: str, observation: FloatArray, flags: Sequence[bool]) -> FloatArray:
         """Positions and contacts in the order of the skill's subgoal, (8,)."""
         psm1, psm2, thing = observation[0:3], observation[7:10], observation[14:17]
         first, second = {
@@ -181,7 +199,7 @@ class BiPegTransfer:
             "handover": (psm2, psm1),
             "release": (psm2, thing),
         }[skill]
-        return np.concatenate([first, second, [float(t) for t in touched]])
+        return np.concatenate([first, second, [float(t) for t in flags]])
 
     def skill_success(self, achieved: FloatArray, subgoal: FloatArray) -> bool:
         """Whether a skill has reached its subgoal.
