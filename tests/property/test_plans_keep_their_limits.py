@@ -1,16 +1,18 @@
 """Laws of whole plans: inside every limit, through every waypoint, along the chord, one path."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import MotionError
 from viskill_deploy.core.types import Waypoint
 from viskill_deploy.motion.limits import PlanLimits
 from viskill_deploy.motion.plan import JointPlan, smooth
 from viskill_deploy.motion.resolve import densified, resolve, task_poses
+from viskill_deploy.motion.smoothing import peaks
 from viskill_deploy.motion.waypoints import ActionSpec, apply_action, start_waypoint
 
 CELL = load_cell("bipegtransfer")
@@ -110,6 +112,58 @@ def test_a_slower_plan_is_the_same_path_with_another_clock() -> None:
                     q = np.array([quick[arm].p[:6], late[arm].p[:6]])
                     tips = task_poses(CELL, arm, q)[:, :3, 3]
                     assert np.linalg.norm(tips[0] - tips[1]) <= 1e-4
+
+
+def cell_with_rates(factor: float) -> CellDescription:
+    """The same cell with other velocity, acceleration and jerk limits, joints and jaw."""
+    arms = []
+    for entry in CELL.arms:
+        joints = tuple(
+            joint.model_copy(
+                update={
+                    key: getattr(joint, key) * factor
+                    for key in type(joint).model_fields
+                    if key.startswith("max_")
+                }
+            )
+            for joint in entry.arm.joints
+        )
+        arms.append(replace(entry, arm=replace(entry.arm, joints=joints)))
+    return replace(CELL, arms=tuple(arms))
+
+
+@pytest.mark.parametrize("factor", [0.15, 0.5, 6.7])
+def test_a_plan_that_joint_limits_stretch_is_the_same_path_re_timed(factor: float) -> None:
+    other, stretched = cell_with_rates(factor), 0
+    for seed in range(20):
+        _, q, plan = planned(seed)
+        again = smooth(other, q, 0.2)
+        assert (plan.stretch < again.stretch) or factor > 1.0
+        for run, twin in zip(plan.runs, again.runs, strict=True):
+            stretched += abs(run.scale - twin.scale) > 0.05
+            shares = np.linspace(0.0, 1.0, 30)
+            for arm in range(2):
+                tips = [
+                    task_poses(
+                        CELL, arm, np.array([r.at(x * r.duration_s)[arm].p[:6] for x in shares])
+                    )[:, :3, 3]
+                    for r in (run, twin)
+                ]
+                assert np.linalg.norm(tips[0] - tips[1], axis=1).max() <= 1e-4
+    assert stretched >= 5
+
+
+def test_peaks_of_a_trajectory_are_what_sampling_finds() -> None:
+    _, _, plan = planned(3)
+    trajectory = plan.runs[0].segments[0][0]
+    t = np.linspace(0.0, trajectory.duration, 4001)
+    _, v, a = (np.array(x) for x in zip(*(trajectory.at_time(x) for x in t), strict=True))
+    speed, acceleration, jerk = peaks(trajectory)
+    assert np.abs(v).max(axis=0) == pytest.approx(speed, rel=1e-3)
+    assert np.abs(a).max(axis=0) == pytest.approx(acceleration, rel=1e-2)
+    moving = speed > 0
+    found = np.abs(np.diff(a, axis=0)).max(axis=0) / t[1]
+    assert found[moving] == pytest.approx(jerk[moving], rel=1e-3)
 
 
 def test_a_roll_that_would_have_to_unwind_is_refused_with_its_waypoint() -> None:

@@ -4,7 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from viskill_deploy.core.description import PLAN_FRACTION, ArmDescription
+from viskill_deploy.core.types import FloatArray
+
+SHAPE_VELOCITY = (1.4, 1.4, 0.18, 17.0, 17.0, 17.0, 5.4)
+SHAPE_ACCELERATION = (7.0, 7.0, 0.9, 57.0, 57.0, 57.0, 57.0)
+SHAPE_JERK = (140.0, 140.0, 18.0, 1130.0, 1130.0, 1130.0, 1130.0)
+"""Rates at which a plan's path is drawn, axis by axis, rad or m, s: about a Classic PSM's own.
+
+They are part of what a plan means and no arm's limits: the path depends on its waypoints and on
+these numbers alone, so an arm with lower limits runs the same path under a slower clock.
+"""
 
 POSITION_MARGINS = 2.0
 """Plans stay this many of the gate's position margins away from a joint limit."""
@@ -46,6 +58,20 @@ class PlanLimits:
             velocity=velocity,
             acceleration=acceleration,
             jerk=jerk,
+        )
+
+    def shape(self) -> PlanLimits:
+        """These position limits with the rates at which paths are drawn."""
+        return PlanLimits(self.lower, self.upper, SHAPE_VELOCITY, SHAPE_ACCELERATION, SHAPE_JERK)
+
+    def clock(self, velocity: FloatArray, acceleration: FloatArray, jerk: FloatArray) -> float:
+        """How much slower time has to pass for a motion with these peaks (axes,) to be inside."""
+        return float(
+            max(
+                (velocity / self.velocity).max(),
+                np.sqrt((acceleration / self.acceleration).max()),
+                np.cbrt((jerk / self.jerk).max()),
+            )
         )
 
     def faster(self, k: float) -> PlanLimits:

@@ -1,9 +1,10 @@
 """A whole plan: waypoints known in advance, resolved to joints and smoothed.
 
 The plan is cut into runs that begin and end at rest: at its ends, where every axis pauses or turns,
-and where a jaw starts or stops moving. Each run is smoothed at a shape time scale k, the smallest
-at which Ruckig's profiles keep the joint limits, and then slowed once more, as a whole, until the
-tip keeps its speed. Slowing is a change of clock alone, so the path in space stays the same.
+and where a jaw starts or stops moving. Each run is drawn by Ruckig at fixed rates that belong to no
+arm, at the smallest time scale k at which its profiles reach every waypoint, and then slowed, as a
+whole, until every joint keeps its limits and the tip its speed. Limits change the clock alone, so
+the path in space stays the same.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from viskill_deploy.core.errors import MotionError
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.kinematics.model import forward_batch
 from viskill_deploy.motion.limits import PlanLimits
-from viskill_deploy.motion.smoothing import AXES, AxisMotion, inside, is_direct, travel_time
+from viskill_deploy.motion.smoothing import AXES, AxisMotion, inside, is_direct, peaks, travel_time
 
 SCALE_STEP = 1.15
 """Growth of the shape time scale from one try to the next."""
@@ -139,7 +140,7 @@ def smooth(cell: CellDescription, q: FloatArray, step_s: float, speed: float = 1
     runs: list[Run] = []
     times, now = [0.0], 0.0
     for first, last in _rest_to_rest(v):
-        run = _shaped(limits, q[first : last + 1], v[first : last + 1], step_s, now, first)
+        run = _drawn(limits, q[first : last + 1], v[first : last + 1], step_s, now, first)
         run = _slowed(run, cell, PLAN_FRACTION * speed * cell.file.motion.tip_speed_m_s)
         runs.append(run)
         times += [now + (i + 1) * step_s * run.scale for i in range(last - first)]
@@ -152,7 +153,7 @@ def _rest_to_rest(v: FloatArray) -> Iterator[tuple[int, int]]:
     yield from zip(at_rest[:-1].tolist(), at_rest[1:].tolist(), strict=True)
 
 
-def _shaped(
+def _drawn(
     limits: Sequence[PlanLimits],
     q: FloatArray,
     v: FloatArray,
@@ -162,9 +163,9 @@ def _shaped(
 ) -> Run:
     k = 1.0
     while k <= MAX_SCALE:
-        segments = _segments([limit.faster(k) for limit in limits], q, v, step_s)
+        segments = _segments([limit.shape().faster(k) for limit in limits], q, v, step_s)
         if segments is not None:
-            return Run(start_s, k, step_s, first, segments)
+            return Run(start_s, _clock(limits, segments), step_s, first, segments)
         k *= SCALE_STEP
     raise MotionError(
         f"steps {first} to {first + len(q) - 1} cannot be smoothed inside the joint limits, "
@@ -193,6 +194,15 @@ def _segments(
             row.append(trajectory)
         rows.append(tuple(row))
     return tuple(rows)
+
+
+def _clock(limits: Sequence[PlanLimits], segments: Sequence[tuple[Any, ...]]) -> float:
+    """The slower clock, >= 1, under which every arm keeps its limits on these segments."""
+    slowest = 1.0
+    for row in segments:
+        for limit, trajectory in zip(limits, row, strict=True):
+            slowest = max(slowest, limit.clock(*peaks(trajectory)))
+    return slowest
 
 
 def _slowed(run: Run, cell: CellDescription, tip_speed_m_s: float) -> Run:

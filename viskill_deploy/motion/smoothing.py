@@ -194,6 +194,21 @@ def inside(limits: PlanLimits, trajectory: Any) -> bool:
     )
 
 
+def peaks(trajectory: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Largest speed, acceleration and jerk of every axis on a trajectory, (axes,) each, exact."""
+    rows = [
+        (profile.t, profile.v, profile.a, profile.j)
+        for section in trajectory.profiles
+        for profile in section
+    ]
+    t, v, a, j = (np.array(column) for column in zip(*rows, strict=True))
+    a0, j_or_1 = a[:, :-1], np.where(j == 0.0, 1.0, j)
+    turn = np.where(j == 0.0, -1.0, -a0 / j_or_1)  # where in a phase the acceleration passes zero
+    inner = np.where((turn > 0.0) & (turn < t), v[:, :-1] - 0.5 * a0**2 / j_or_1, 0.0)
+    speed = np.maximum(np.abs(v).max(axis=1), np.abs(inner).max(axis=1))
+    return speed, np.abs(a).max(axis=1), np.abs(np.where(t > 0.0, j, 0.0)).max(axis=1)
+
+
 class SegmentPlanner:
     """Plans segments for one cell.
 
