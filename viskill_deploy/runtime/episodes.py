@@ -172,7 +172,7 @@ def _judge_skill(session: Session, task: Task, result: EpisodeResult, subgoal: F
             reached = task.achieved(
                 skill.name, observation, task.flags(session.driver.active_object())
             )
-            skill.success = task.skill_success(reached, subgoal)
+            skill.success = bool(task.skill_success(skill.name, reached, subgoal))
 
 
 def _seen(session: Session) -> Scene:

@@ -123,7 +123,8 @@ def _run_skill(
         if disturbance:
             action = action + _nudge(len(action), disturbance, rng)
         obs = loop.step(action, skill)
-    reached = task.skill_success(task.achieved(skill.name, obs, loop.flags()), goal)
+    achieved = task.achieved(skill.name, obs, loop.flags())
+    reached = bool(task.skill_success(skill.name, achieved, goal))
     rows = np.asarray(seen, dtype=np.float32)
     goals = np.tile(goal.astype(np.float32), (len(rows), 1))
     return obs, SkillRecord(skill.name, rows, goals, np.asarray(labels, np.float32), reached)

@@ -83,18 +83,18 @@ def test_subgoals_are_those_of_the_scripted_plan() -> None:
 def test_a_skill_counts_as_done_within_5_mm_and_with_the_right_contacts() -> None:
     obs = np.arange(35.0) / 1000
     goal = np.array([*obs[0:3], *obs[7:10], 0.0, 1.0])
-    assert TASK.skill_success(TASK.achieved("grasp", obs, (False, True)), goal)
-    assert not TASK.skill_success(TASK.achieved("grasp", obs, (True, True)), goal)
+    assert TASK.skill_success("grasp", TASK.achieved("grasp", obs, (False, True)), goal)
+    assert not TASK.skill_success("grasp", TASK.achieved("grasp", obs, (True, True)), goal)
     goal[0] += 0.006
-    assert not TASK.skill_success(TASK.achieved("grasp", obs, (False, True)), goal)
+    assert not TASK.skill_success("grasp", TASK.achieved("grasp", obs, (False, True)), goal)
 
 
 def test_the_release_skill_is_judged_by_the_block_alone() -> None:
     obs = np.zeros(35)
     obs[14:17] = 0.01, 0.043, 0.00725
     goal = np.array([0.05, 0.0, 0.07, 0.01, 0.043, 0.00725, 0.0, 0.0])
-    assert TASK.skill_success(TASK.achieved("release", obs, (False, False)), goal)
-    assert not TASK.skill_success(TASK.achieved("release", obs, (True, False)), goal)
+    assert TASK.skill_success("release", TASK.achieved("release", obs, (False, False)), goal)
+    assert not TASK.skill_success("release", TASK.achieved("release", obs, (True, False)), goal)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,8 @@ def episode(loop: ClosedLoop, seed: int, distribution: str) -> tuple[bool, Float
         goal = goals[skill.name]
         for _ in range(skill.budget):
             obs = loop.step(TASK.scripted_action(skill.name, obs, goal), skill)
-        reached.append(TASK.skill_success(TASK.achieved(skill.name, obs, loop.flags()), goal))
+        achieved = TASK.achieved(skill.name, obs, loop.flags())
+        reached.append(TASK.skill_success(skill.name, achieved, goal))
     return loop.success(), obs, reached
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Protocol, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import DataFileError
@@ -118,8 +119,10 @@ class Task(Protocol):
         """What stands where the skill's subgoal would stand, from what is seen."""
         ...
 
-    def skill_success(self, achieved: FloatArray, subgoal: FloatArray) -> bool:
-        """Whether a skill has reached its subgoal."""
+    def skill_success(
+        self, skill: str, achieved: FloatArray, subgoal: FloatArray
+    ) -> npt.NDArray[np.bool_]:
+        """Whether a skill has reached its subgoal; (..., m) and (..., m) give (...)."""
         ...
 
     def success(self, thing: ActiveObject, scene: Scene) -> bool:

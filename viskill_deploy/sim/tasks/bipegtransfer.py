@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DataFileError
@@ -201,16 +202,19 @@ class BiPegTransfer:
         }[skill]
         return np.concatenate([first, second, [float(t) for t in flags]])
 
-    def skill_success(self, achieved: FloatArray, subgoal: FloatArray) -> bool:
+    def skill_success(
+        self, skill: str, achieved: FloatArray, subgoal: FloatArray
+    ) -> npt.NDArray[np.bool_]:
         """Whether a skill has reached its subgoal.
 
         Positions have to be within 5 mm (as one vector) and contacts as the subgoal says. In the
-        last skill, whose subgoal has no contact, only the object's position counts.
+        last skill only the object's position counts.
         """
-        last = not subgoal[6:].any()
-        error = (achieved - subgoal)[3 if last else 0 : 6]
-        near = bool(np.linalg.norm(error) < SKILL_TOLERANCE_M)
-        return near and bool(np.all(achieved[6:] == subgoal[6:]))
+        error = (achieved - subgoal)[..., 3 if skill == self.skills[-1].name else 0 : 6]
+        near = np.sqrt((error**2).sum(axis=-1)) < SKILL_TOLERANCE_M
+        same = (achieved[..., 6:] == subgoal[..., 6:]).all(axis=-1)
+        reached: npt.NDArray[np.bool_] = near & same
+        return reached
 
     def success(self, thing: ActiveObject, scene: Scene) -> bool:
         """Whether the block stands on the goal peg.
