@@ -1,57 +1,70 @@
-"""How often a set of skills does the whole task, in the world that they were trained in."""
+"""How often a policy does the whole task, in the world that it was trained in."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
-from viskill_deploy.sim.tasks.base import Task
-from viskill_deploy.train.episodes import EpisodeRecord, Request, run_episodes
+import numpy as np
+
+from viskill_deploy.sim.vector_loop import VectorLoop
+from viskill_deploy.train.rollout import TaskEpisodes, TaskPolicy, fresh, joined, run_task
 
 EVALUATION = 2**31
-"""First number of the seeds of evaluation episodes: training never uses them."""
+"""Added to the seeds of evaluation episodes: neither training nor selection uses them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Result of a number of episodes without disturbance.
+    """Result of a number of deterministic episodes.
 
     Attributes:
         distribution: of the layouts.
         episodes: how many.
         success_rate: part of them that ended with the task done.
-        skills: part of them in which each skill reached its own subgoal.
+        subtasks: mean number of skills that ended at their subgoal.
+        rollout_length: mean number of steps in which the running skill was not yet at its subgoal,
+            over successful episodes; nan if there is none.
+        skills: part of the episodes in which each skill ended at its subgoal.
     """
 
     distribution: str
     episodes: int
     success_rate: float
+    subtasks: float
+    rollout_length: float
     skills: dict[str, float]
 
 
 def evaluate(
-    task: Task,
-    graphs: Mapping[str, bytes] | None,
-    distribution: str,
-    episodes: int,
-    seed: int,
-    pool: ProcessPoolExecutor | None = None,
+    loop: VectorLoop, policy: TaskPolicy, distribution: str, episodes: int, seed: int
 ) -> Score:
-    """Runs episodes with every skill driven by its graph, or by the script if there are none."""
-    learner = (graphs is not None,) * len(task.skills)
-    requests = [
-        Request(task.name, (EVALUATION, seed, i), distribution, learner) for i in range(episodes)
-    ]
-    records = run_episodes(requests, graphs or {}, pool)
-    names = [skill.name for skill in task.skills]
+    """Runs episodes and counts.
+
+    Args:
+        loop: environments.
+        policy: who does the task.
+        distribution: of the layouts.
+        episodes: at least this many; whole lots are run and the surplus is left out.
+        seed: of the layouts.
+    """
+    rng = np.random.default_rng((EVALUATION, seed))
+    lots: list[TaskEpisodes] = []
+    while sum(map(len, lots)) < episodes:
+        fresh(loop, rng, (distribution,))
+        lots.append(run_task(loop, policy))
+    return score(loop, joined(lots), distribution, episodes)
+
+
+def score(loop: VectorLoop, done: TaskEpisodes, distribution: str, episodes: int) -> Score:
+    """The figures of the first `episodes` episodes."""
+    success, reached = done.success[:episodes], done.reached[:episodes]
+    steps = done.waiting[:episodes][success]
+    names = [skill.name for skill in loop.task.skills]
     return Score(
         distribution,
         episodes,
-        sum(r.success for r in records) / episodes,
-        {name: sum(_reached(r, name) for r in records) / episodes for name in names},
+        float(success.mean()),
+        float(reached.sum(axis=1).mean()),
+        float(steps.mean()) if len(steps) else float("nan"),
+        dict(zip(names, reached.mean(axis=0).tolist(), strict=True)),
     )
-
-
-def _reached(record: EpisodeRecord, skill: str) -> bool:
-    return any(part.skill == skill and part.reached for part in record.skills)

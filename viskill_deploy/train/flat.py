@@ -1,0 +1,51 @@
+"""Learning a task as one long skill: what GCBC and flat DEX share."""
+
+from __future__ import annotations
+
+from typing import cast
+
+from viskill_deploy.core.types import FloatArray
+from viskill_deploy.sim.tasks.base import Task
+from viskill_deploy.sim.vector_loop import VectorLoop
+from viskill_deploy.train import store
+from viskill_deploy.train.rollout import Act, TaskPolicy, final_goals
+from viskill_deploy.train.run import Run, actor, demos_of
+from viskill_deploy.train.skill_learning import SkillData, SkillLearner, SkillSettings
+from viskill_deploy.train.whole_task import WholeTask, whole_demos
+
+
+class Flat:
+    """One policy for all steps, with the task's goal as it is at the start.
+
+    Args:
+        act: the policy.
+    """
+
+    def __init__(self, act: Act) -> None:
+        self._act = act
+        self._goals: FloatArray | None = None
+
+    def subgoals(self, index: int, obs: FloatArray, loop: VectorLoop) -> FloatArray:
+        """The task's goal."""
+        if index == 0 or self._goals is None:
+            self._goals = final_goals(loop, obs)
+        return self._goals
+
+    def act(self, index: int, obs: FloatArray, goals: FloatArray) -> FloatArray:
+        """Actions of the policy."""
+        del index
+        return self._act(obs, goals)
+
+
+def learn_flat(run: Run, stage: str, settings: SkillSettings) -> TaskPolicy:
+    """Learns the whole task as one skill."""
+    if not run.done(stage):
+        demos = whole_demos(run.task, demos_of(run))
+        loop = VectorLoop(cast(Task, WholeTask(run.task)), run.settings.environments)
+        data = SkillData(demos.clean, demos.corrected)
+        learner = SkillLearner(
+            loop, 0, data, run.settings.distributions, settings, run.settings.dex, run.seed
+        )
+        run.learn(stage, learner, settings.test_every)
+        run.finish(stage, {"weights": learner.best_weights(), "success": learner.best})
+    return Flat(actor(run, store.load(run.result(stage))["weights"]))

@@ -1,0 +1,259 @@
+"""A training run in a folder: stages one after the other, each resumable.
+
+A stage leaves one file when it is done and keeps another while it runs. A run that is started again
+with the same folder goes on from there, to the same result as without the break.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+
+from viskill_deploy.core.clock import wall_time
+from viskill_deploy.core.errors import TrainingError
+from viskill_deploy.core.types import FloatArray
+from viskill_deploy.sim.tasks.base import load_task
+from viskill_deploy.sim.vector_loop import VectorLoop
+from viskill_deploy.train import store
+from viskill_deploy.train.demos import SkillDemos, record_demos
+from viskill_deploy.train.network import Network, scaling_of
+from viskill_deploy.train.replay import Episodes
+from viskill_deploy.train.rollout import Act, Start, run_skill, saved
+from viskill_deploy.train.settings import RunSettings
+from viskill_deploy.train.skill_learning import SkillData, SkillLearner
+
+LOG = "log.jsonl"
+SETTINGS = "settings.json"
+LEARNED_STARTS = 256
+
+Say = Callable[[str], None]
+"""Where progress goes, a line at a time."""
+
+
+class Learner(Protocol):
+    """Something that learns in rounds."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether there is nothing left to do."""
+        ...
+
+    def advance(self) -> dict[str, float]:
+        """One round; what there is to say about it."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Everything that learning goes on from."""
+        ...
+
+    def restore(self, tree: dict[str, Any]) -> None:
+        """Takes over what `state` gave."""
+        ...
+
+
+@dataclass
+class Run:
+    """The folder of a run.
+
+    Args:
+        folder: made if missing.
+        task_name: the task.
+        seed: of everything random.
+        settings: the rest.
+        say: told about progress.
+        threads: of physics and gradient steps.
+
+    Raises:
+        TrainingError: the folder holds another run.
+    """
+
+    folder: Path
+    task_name: str
+    seed: int
+    settings: RunSettings
+    say: Say = print
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        torch.set_num_threads(self.threads)
+        self.task = load_task(self.task_name)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._loop: VectorLoop | None = None
+        facts = {
+            "task": self.task_name,
+            "seed": self.seed,
+            "settings": dataclasses.asdict(self.settings),
+        }
+        text, path = json.dumps(facts, indent=1), self.folder / SETTINGS
+        if path.is_file() and json.loads(path.read_text("utf-8")) != json.loads(text):
+            raise TrainingError(
+                f"{self.folder} holds a run with another task, seed or settings; "
+                "name an empty folder"
+            )
+        path.write_text(text, encoding="utf-8")
+
+    @property
+    def loop(self) -> VectorLoop:
+        """The environments, made when first used."""
+        if self._loop is None:
+            self._loop = VectorLoop(self.task, self.settings.environments)
+        return self._loop
+
+    def learn(self, stage: str, learner: Learner, save_every: int = 1) -> None:
+        """Lets `learner` finish, going on from `<stage>.state.npz` if there is one."""
+        path = self.folder / f"{stage}.state.npz"
+        if path.is_file():
+            learner.restore(store.load(path))
+        rounds = 0
+        while not learner.finished:
+            started = wall_time()
+            line = {"stage": stage, **learner.advance()}
+            line["seconds"] = round(wall_time() - started, 2)
+            rounds += 1
+            if rounds % save_every == 0 or learner.finished:
+                store.save(path, learner.state())
+            self.log(line)
+
+    def log(self, line: dict[str, Any]) -> None:
+        """Adds a line to the log and says it."""
+        with (self.folder / LOG).open("a", encoding="utf-8") as log:
+            log.write(json.dumps({key: _plain(value) for key, value in line.items()}) + "\n")
+        facts = ", ".join(
+            f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
+            for key, value in line.items()
+            if "/" not in key
+        )
+        self.say(facts)
+
+    def done(self, stage: str) -> Path | None:
+        """The result file of a stage, if it is there."""
+        path = self.result(stage)
+        return path if path.is_file() else None
+
+    def result(self, stage: str) -> Path:
+        """Where the result of a stage lies."""
+        return self.folder / f"{stage}.npz"
+
+    def finish(self, stage: str, tree: store.Tree) -> None:
+        """Writes the result of a stage and drops what it kept while it ran."""
+        store.save(self.result(stage), tree)
+        (self.folder / f"{stage}.state.npz").unlink(missing_ok=True)
+
+
+def demos_of(run: Run) -> list[SkillDemos]:
+    """The demonstrations of a run, recorded if they are not there yet."""
+    if path := run.done("demos"):
+        return [_demos_from(tree) for tree in store.load(path)["skills"]]
+    started = wall_time()
+    demos = record_demos(run.loop, run.settings.demos, run.settings.distributions, run.seed)
+    run.finish("demos", {"skills": [_demos_tree(d) for d in demos]})
+    run.log({"stage": "demos", "seconds": round(wall_time() - started, 1)})
+    return demos
+
+
+def skills_of(run: Run) -> list[dict[str, Any]]:
+    """What is known of every skill, learned one after the other if not there yet.
+
+    Returns:
+        Per skill: `weights` of the best actor, its test's `success`, the `agent` at the end, and
+        `ends`, where the skill leaves the task.
+    """
+    trees: list[dict[str, Any]] = []
+    for index, skill in enumerate(run.task.skills):
+        stage = f"skill-{skill.name}"
+        if not run.done(stage):
+            learner = skill_learner(run, index, starts_of(trees[-1]) if trees else ())
+            run.learn(stage, learner, run.settings.skill.test_every)
+            finish_skill(run, stage, learner)
+        trees.append(store.load(run.result(stage)))
+    return trees
+
+
+def starts_of(tree: dict[str, Any]) -> tuple[Start, ...]:
+    """The ends of a skill as starts of the next one."""
+    return tuple(Start.of(part) for part in tree["ends"])
+
+
+def skill_learner(run: Run, index: int, learned: tuple[Start, ...]) -> SkillLearner:
+    """A learner of one skill at its beginning.
+
+    Args:
+        run: gives demonstrations and settings.
+        index: of the skill.
+        learned: where the learned skill before it ends.
+    """
+    demos, settings = demos_of(run)[index], run.settings
+    data = SkillData(demos.clean, demos.corrected, demos.starts if index else (), learned)
+    return SkillLearner(
+        run.loop, index, data, settings.distributions, settings.skill, settings.dex, run.seed
+    )
+
+
+def finish_skill(run: Run, stage: str, learner: SkillLearner) -> None:
+    """Writes what `skills_of` gives."""
+    weights = learner.best_weights()
+    ends = _ends(run, learner, actor(run, weights))
+    run.finish(
+        stage,
+        {
+            "weights": weights,
+            "success": learner.best,
+            "agent": learner.agent.state(),
+            "ends": [start.tree() for start in ends],
+        },
+    )
+
+
+def _ends(run: Run, learner: SkillLearner, act: Act) -> list[Start]:
+    """Where the learned skill ends, as starts of the next one."""
+    if learner.index == len(run.task.skills) - 1:
+        return []
+    rng = np.random.default_rng((run.seed, learner.index, 2))
+    ends: list[Start] = []
+    while len(ends) < LEARNED_STARTS:
+        goals, plans = learner.begin(rng, spread=True)
+        run_skill(run.loop, learner.index, act, goals)
+        ends += saved(run.loop, plans)
+    return ends
+
+
+def actor(run: Run, weights: dict[str, FloatArray]) -> Act:
+    """The policy with these weights."""
+    network = Network(
+        scaling_of(run.task), len(weights["layers.3.bias"]), hidden=len(weights["layers.0.bias"])
+    )
+    network.load(weights)
+
+    def act(obs: FloatArray, goal: FloatArray) -> FloatArray:
+        x = torch.from_numpy(np.concatenate([obs, goal], axis=1).astype(np.float32))
+        with torch.no_grad():
+            return torch.tanh(network(x)).numpy().astype(np.float64)
+
+    return act
+
+
+def _plain(value: Any) -> Any:
+    return float(value) if isinstance(value, np.floating) else value
+
+
+def _demos_tree(demos: SkillDemos) -> store.Tree:
+    return {
+        "clean": demos.clean.tree(),
+        "corrected": demos.corrected.tree(),
+        "starts": [start.tree() for start in demos.starts],
+    }
+
+
+def _demos_from(tree: dict[str, Any]) -> SkillDemos:
+    return SkillDemos(
+        Episodes(**tree["clean"]),
+        Episodes(**tree["corrected"]),
+        tuple(Start.of(part) for part in tree["starts"]),
+    )

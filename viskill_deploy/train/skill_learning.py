@@ -1,0 +1,259 @@
+"""Learning one skill: imitation of its demonstrations, then DEX with goals in hindsight.
+
+The learner alternates between runs of the skill in many environments and gradient steps. Runs begin
+where the script's earlier skills ended and where the learned ones did. After every few rounds the
+skill is tested without exploration, and the best weights are kept.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from viskill_deploy.core.types import FloatArray
+from viskill_deploy.sim.tasks.base import Task
+from viskill_deploy.sim.vector_loop import VectorLoop
+from viskill_deploy.train.dex import Dex, DexSettings
+from viskill_deploy.train.network import scaling_of
+from viskill_deploy.train.optimiser import state_of
+from viskill_deploy.train.replay import Batch, Episodes, Replay
+from viskill_deploy.train.rollout import Start, final_goals, fresh, reached, resume, run_skill
+from viskill_deploy.train.subgoal_space import POSITIONS
+
+VALIDATION = 2**30
+"""Added to the seeds of test rounds: neither training nor the reported evaluation uses them."""
+
+
+@dataclass(frozen=True, slots=True)
+class SkillSettings:
+    """Amounts.
+
+    Attributes:
+        imitation_steps: gradient steps on demonstrations before the first round.
+        rounds: of experience, at most.
+        updates: gradient steps a round.
+        test_every: rounds between tests.
+        test_lots: lots of `environments` episodes in a test.
+        enough: a test counts as passed from here on.
+        passes: tests passed in a row after which learning ends.
+        subgoal_spread_m: subgoals of half of the runs are moved by up to this on each axis.
+        learned_starts: part of the runs that begin where the learned earlier skills ended.
+        capacity: episodes remembered.
+    """
+
+    imitation_steps: int = 3000
+    rounds: int = 30
+    updates: int = 500
+    test_every: int = 3
+    test_lots: int = 1
+    enough: float = 0.99
+    passes: int = 2
+    subgoal_spread_m: float = 0.010
+    learned_starts: float = 0.5
+    capacity: int = 2000
+
+
+@dataclass(frozen=True)
+class SkillData:
+    """What a skill is learned from.
+
+    Attributes:
+        demos: demonstrated episodes that reached their subgoal.
+        corrected: disturbed ones with the script's answers, for imitation alone.
+        scripted: starts where the script's earlier skills ended; empty for the first skill.
+        learned: starts where the learned ones did.
+    """
+
+    demos: Episodes
+    corrected: Episodes
+    scripted: tuple[Start, ...] = ()
+    learned: tuple[Start, ...] = ()
+
+
+class Shaping(Protocol):
+    """A further reward."""
+
+    def meet(self, episodes: Episodes, rng: np.random.Generator) -> None:
+        """Learns from new experience."""
+        ...
+
+    def shaped(self, batch: Batch) -> Batch:
+        """The same transitions with other rewards."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Everything that learning goes on from."""
+        ...
+
+    def restore(self, tree: dict[str, Any]) -> None:
+        """Takes over what `state` gave."""
+        ...
+
+
+@dataclass
+class SkillLearner:
+    """One skill in the making.
+
+    Args:
+        loop: environments.
+        index: of the skill.
+        data: demonstrations and starts.
+        distributions: of the layouts.
+        settings: amounts.
+        dex: numbers of the algorithm.
+        seed: of everything random.
+        shaping: a further reward, for T-STAR.
+    """
+
+    loop: VectorLoop
+    index: int
+    data: SkillData
+    distributions: tuple[str, ...]
+    settings: SkillSettings
+    dex: DexSettings
+    seed: int
+    shaping: Shaping | None = None
+    round: int = 0
+    best: float = -1.0
+    passed: int = 0
+    history: list[dict[str, float]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        task: Task = self.loop.task
+        name = task.skills[self.index].name
+        success = functools.partial(task.skill_success, name)
+        self._rng = np.random.default_rng((self.seed, self.index, 1))
+        self.agent = Dex(
+            scaling_of(task), self.data.demos.action.shape[2], self.dex, self.seed + self.index
+        )
+        self.experience = Replay(self.settings.capacity, success)
+        self._demos = Replay(len(self.data.demos), success)
+        self._demos.add(self.data.demos, self._rng)
+        self._corrected = Replay(len(self.data.corrected), success)
+        self._corrected.add(self.data.corrected, self._rng)
+        self._best_actor = state_of(self.agent.actor)
+
+    @property
+    def finished(self) -> bool:
+        """Whether there is nothing left to do."""
+        return self.round > self.settings.rounds or self.passed >= self.settings.passes
+
+    def advance(self) -> dict[str, float]:
+        """One round; returns what there is to say about it. The first round imitates."""
+        s, line = self.settings, {"round": float(self.round)}
+        if self.round == 0:
+            for _ in range(s.imitation_steps):
+                parts = [
+                    memory.sample(self.dex.batch, hindsight, self._rng)
+                    for memory, hindsight in ((self._demos, 0.5), (self._corrected, 0.0))
+                ]
+                line["imitation"] = self.agent.imitate(*parts)
+        else:
+            line["exploring"] = self._explore()
+            for _ in range(s.updates):
+                batches = [
+                    memory.sample(self.dex.batch, self.dex.hindsight, self._rng)
+                    for memory in (self.experience, self._demos)
+                ]
+                if self.shaping:
+                    batches = [self.shaping.shaped(batch) for batch in batches]
+                line.update(self.agent.update(*batches))
+        if self.round % s.test_every == 0 or self.round == s.rounds:
+            line["success"] = self._test()
+        self.round += 1
+        self.history.append(line)
+        return line
+
+    def go_on(self, agent: dict[str, Any], weights: dict[str, Any]) -> None:
+        """Begins with a trained agent and these actor weights instead of imitation."""
+        self.agent.restore(agent)
+        for actor in (self.agent.actor, self.agent.actor_target):
+            actor.load(weights)
+        self._best_actor, self.round = state_of(self.agent.actor), 1
+
+    def best_weights(self) -> dict[str, FloatArray]:
+        """Numbers of the best actor."""
+        weights: dict[str, FloatArray] = self._best_actor["weights"]
+        return weights
+
+    def _explore(self) -> float:
+        goals, _ = self.begin(self._rng, spread=True)
+        episodes, alive = run_skill(
+            self.loop, self.index, self.agent.act, goals, self._rng, self.dex.noise
+        )
+        followed = episodes.only(np.flatnonzero(alive))
+        self.experience.add(followed, self._rng)
+        if self.shaping:
+            self.shaping.meet(followed, self._rng)
+        return float((reached(self.loop.task, self.index, episodes) & alive).mean())
+
+    def _test(self) -> float:
+        rng = np.random.default_rng((self.seed + VALIDATION, self.index, self.round))
+        rates = []
+        for _ in range(self.settings.test_lots):
+            goals, _ = self.begin(rng, spread=False)
+            episodes, alive = run_skill(self.loop, self.index, self.agent.act, goals)
+            rates.append((reached(self.loop.task, self.index, episodes) & alive).mean())
+        rate = float(np.mean(rates))
+        if rate >= self.best:
+            self.best, self._best_actor = rate, state_of(self.agent.actor)
+        self.passed = self.passed + 1 if rate >= self.settings.enough else 0
+        return rate
+
+    def begin(self, rng: np.random.Generator, spread: bool) -> tuple[FloatArray, FloatArray]:
+        """Puts the environments at starts of the skill.
+
+        Args:
+            rng: picks them.
+            spread: moves the subgoals of half of them.
+
+        Returns:
+            The subgoals (count, m), and the scripted plans (count, skills, m).
+        """
+        plans = self._placed(rng)
+        if self.index == len(self.loop.task.skills) - 1:
+            return final_goals(self.loop, self.loop.observe()), plans
+        goals = plans[:, self.index].copy()
+        if spread:
+            reach = self.settings.subgoal_spread_m
+            moved = rng.random(self.loop.count) < 0.5
+            goals[moved, :POSITIONS] += rng.uniform(-reach, reach, (int(moved.sum()), POSITIONS))
+        return goals, plans
+
+    def _placed(self, rng: np.random.Generator) -> FloatArray:
+        if not self.data.scripted:
+            return fresh(self.loop, rng, self.distributions)
+        starts = []
+        for _ in range(self.loop.count):
+            learned = self.data.learned and rng.random() < self.settings.learned_starts
+            pool = self.data.learned if learned else self.data.scripted
+            starts.append(pool[int(rng.integers(len(pool)))])
+        return resume(self.loop, starts)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that learning goes on from."""
+        return {
+            "round": self.round,
+            "best": self.best,
+            "passed": self.passed,
+            "history": self.history,
+            "rng": self._rng.bit_generator.state,
+            "agent": self.agent.state(),
+            "experience": self.experience.state(),
+            "best_actor": self._best_actor,
+            "shaping": self.shaping.state() if self.shaping else None,
+        }
+
+    def restore(self, tree: dict[str, Any]) -> None:
+        """Takes over what `state` gave."""
+        self.round, self.best, self.passed = tree["round"], tree["best"], tree["passed"]
+        self.history = tree["history"]
+        self._rng.bit_generator.state = tree["rng"]
+        self.agent.restore(tree["agent"])
+        self.experience.restore(tree["experience"])
+        self._best_actor = tree["best_actor"]
+        if self.shaping:
+            self.shaping.restore(tree["shaping"])
