@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,6 +10,7 @@ import numpy as np
 from viskill_deploy.core.errors import TrainingError
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.motion.waypoints import ACTION_SIZE
+from viskill_deploy.sim import vector_task
 from viskill_deploy.sim.tasks.base import Task
 from viskill_deploy.sim.vector_loop import VectorLoop
 from viskill_deploy.train.replay import Episodes
@@ -59,7 +59,12 @@ class SkillDemos:
 
 def script(task: Task, index: int) -> Act:
     """The scripted controller of a skill."""
-    return functools.partial(task.scripted_action, task.skills[index].name)
+    name = task.skills[index].name
+
+    def act(obs: FloatArray, goals: FloatArray) -> FloatArray:
+        return vector_task.scripted_actions(task, [name] * len(obs), obs, goals)
+
+    return act
 
 
 def record_demos(

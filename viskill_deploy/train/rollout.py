@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from viskill_deploy.core.types import FloatArray
+from viskill_deploy.sim import vector_task
 from viskill_deploy.sim.tasks.base import Task
 from viskill_deploy.sim.vector_loop import EpisodeState, VectorLoop
 from viskill_deploy.train.replay import Episodes, Float32Array
@@ -29,6 +30,17 @@ class Start:
 
     state: EpisodeState
     plan: FloatArray
+
+    def tree(self) -> dict[str, Any]:
+        """The same as plain values."""
+        fields = EpisodeState.__dataclass_fields__
+        return {"plan": self.plan, **{name: getattr(self.state, name) for name in fields}}
+
+    @classmethod
+    def of(cls, tree: dict[str, Any]) -> Start:
+        """What `tree` gave."""
+        fields = EpisodeState.__dataclass_fields__
+        return cls(EpisodeState(**{name: tree[name] for name in fields}), tree["plan"])
 
 
 def fresh(loop: VectorLoop, rng: np.random.Generator, distributions: Sequence[str]) -> FloatArray:
@@ -90,7 +102,9 @@ def run_skill(
     """
     task, skill = loop.task, loop.task.skills[index]
     obs = loop.observe()
-    seen, achieved, actions = [obs], [task.achieved(skill.name, obs, loop.flags())], []
+    names = [skill.name] * loop.count
+    seen, actions = [obs], []
+    achieved = [vector_task.achieved(task, names, obs, loop.flags())]
     for _ in range(skill.budget):
         action = act(obs, goals)
         recorded = labels(obs, goals) if labels else None
@@ -99,7 +113,7 @@ def run_skill(
         loop.step(action, [skill] * loop.count)
         obs = loop.observe()
         seen.append(obs)
-        achieved.append(task.achieved(skill.name, obs, loop.flags()))
+        achieved.append(vector_task.achieved(task, names, obs, loop.flags()))
         actions.append(action if recorded is None else recorded)
     episodes = Episodes(
         _stacked(seen), _stacked(achieved), goals.astype(np.float32), _stacked(actions)
@@ -171,11 +185,12 @@ def run_task(
         if keep:
             keep(index, loop)
         begun.append(loop.alive.copy())
+        names = [skill.name] * loop.count
         goal = policy.subgoals(index, obs, loop)
         for _ in range(skill.budget):
             loop.step(policy.act(index, obs, goal), [skill] * loop.count)
             obs = loop.observe()
-            achieved = task.achieved(skill.name, obs, loop.flags())
+            achieved = vector_task.achieved(task, names, obs, loop.flags())
             here = task.skill_success(skill.name, achieved, goal)
             waiting += ~here
         borders.append(obs)
