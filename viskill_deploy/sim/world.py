@@ -91,6 +91,7 @@ class World:
     Attributes:
         cell: the cell.
         options: as given.
+        substeps: physics steps in a control period.
         model, data: MuJoCo's, for rendering; leave writing to this class.
     """
 
@@ -98,9 +99,9 @@ class World:
         self, cell: CellDescription, options: WorldOptions | None = None, seed: int = 0
     ) -> None:
         self.cell, self.options = cell, options or WorldOptions()
-        self._substeps = math.ceil(self.options.period_s / LONGEST_STEP_S - 1e-9)
+        self.substeps: int = math.ceil(self.options.period_s / LONGEST_STEP_S - 1e-9)
         self.model = build_model(
-            cell, self.options.period_s / self._substeps, self.options.joint_friction
+            cell, self.options.period_s / self.substeps, self.options.joint_friction
         )
         self.data = mujoco.MjData(self.model)
         self._arms = [_ArmIndex(self.model, arm) for arm in cell.arms]
@@ -111,6 +112,21 @@ class World:
         home = resolve(cell, [start_waypoint(cell)], [(0.0,) * AXES] * len(self._arms))
         self.home: FloatArray = home[1]
         """Axis positions (arms, 7) of the cell's start pose."""
+
+    @property
+    def things(self) -> tuple[str, ...]:
+        """Names of what the arms can move."""
+        return self._things.names
+
+    @property
+    def settle_steps(self) -> int:
+        """Physics steps for which things are let fall at a reset."""
+        return math.ceil(SETTLE_S / float(self.model.opt.timestep))
+
+    @property
+    def arm_qpos(self) -> npt.NDArray[np.intp]:
+        """Where each arm's joints and its two fingers lie in `qpos`, (arms, 8)."""
+        return np.array([index.qpos for index in self._arms])
 
     @property
     def time_s(self) -> float:
@@ -131,19 +147,27 @@ class World:
         Raises:
             ViskillError: the scene names an object that this world does not have.
         """
+        self.place(scene, axes)
+        colour(self.model, self._active, self._goal)
+        mujoco.mj_step(self.model, self.data, nstep=self.settle_steps)
+        self.data.time = 0.0
+
+    def place(self, scene: Scene, axes: npt.ArrayLike | None = None) -> None:
+        """The first half of `reset`: everything in place and still, nothing fallen yet."""
         start = self.home if axes is None else np.asarray(axes, dtype=np.float64)
         mujoco.mj_resetData(self.model, self.data)
         self._things.place(self.data, scene)
         for index, row in zip(self._arms, start, strict=True):
             self.data.qpos[index.qpos[:6]] = row[:6]
             self.data.qpos[index.qpos[6:]] = max(row[6], 0.0) / 2
-        self._active, self._goal = scene.active, np.array(scene.goal)
-        still = _controls(start, np.zeros_like(start))
+        self.attend(scene.active, scene.goal)
+        still = controls(start, np.zeros_like(start))
         self._pending = deque([still] * self.options.delay_periods)
         self.data.ctrl[:] = still
-        colour(self.model, self._active, self._goal)
-        mujoco.mj_step(self.model, self.data, nstep=math.ceil(SETTLE_S / self.model.opt.timestep))
-        self.data.time = 0.0
+
+    def attend(self, active: str, goal: FloatArray) -> None:
+        """Says which thing counts, and where it has to go."""
+        self._active, self._goal = active, np.array(goal)
 
     def step(self, setpoints: Sequence[JointSetpoint]) -> None:
         """Lets one control period pass under one setpoint an arm."""
@@ -160,13 +184,13 @@ class World:
             positions: axis positions after each period, (n, arms, 7).
             velocities: axis velocities after each period, (n, arms, 7).
         """
-        for row in _controls(positions, velocities):
+        for row in controls(positions, velocities):
             self._period(row)
 
-    def _period(self, controls: FloatArray) -> None:
-        self._pending.append(controls)
+    def _period(self, row: FloatArray) -> None:
+        self._pending.append(row)
         self.data.ctrl[:] = self._pending.popleft()
-        mujoco.mj_step(self.model, self.data, nstep=self._substeps)
+        mujoco.mj_step(self.model, self.data, nstep=self.substeps)
 
     def measured(self, arm: int) -> ArmReading:
         """What the arm's sensors say, with noise where the options ask for it."""
@@ -209,7 +233,7 @@ class World:
         mujoco.mj_forward(self.model, self.data)
 
 
-def _controls(positions: FloatArray, velocities: FloatArray) -> FloatArray:
+def controls(positions: FloatArray, velocities: FloatArray) -> FloatArray:
     """MuJoCo's control vector: position, velocity of every axis in turn, (..., 2 axes)."""
     pairs = np.stack([positions, velocities], axis=-1)
     return pairs.reshape(*positions.shape[:-2], -1)
