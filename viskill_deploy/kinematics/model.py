@@ -91,6 +91,29 @@ def forward_batch(arm: ArmDescription, q: FloatArray) -> FloatArray:
     return result
 
 
+def tip_positions(arm: ArmDescription, q: FloatArray) -> FloatArray:
+    """Where the tip is, `forward_batch` without orientations and without checks: about 10x faster.
+
+    Args:
+        arm: the arm.
+        q: joint positions, (..., 6), rad and m.
+
+    Returns:
+        Base frame, (..., 3), m.
+    """
+    x = y = z = np.zeros(q.shape[:-1])
+    for index in range(len(arm.joints) - 1, -1, -1):
+        joint, value = arm.joints[index], q[..., index]
+        if joint.type == "prismatic":
+            z = z + value
+        else:
+            c, s = np.cos(value), np.sin(value)
+            x, y = c * x - s * y, s * x + c * y
+        R = link_origin(joint)
+        x, y, z = (r[0] * x + r[1] * y + r[2] * z + r[3] for r in R[:3].tolist())
+    return np.stack([x, y, z], axis=-1)
+
+
 def port_distances(arm: ArmDescription, q: FloatArray, port: FloatArray) -> FloatArray:
     """Distance of the shaft's axis from a port for many configurations, (N,) m.
 

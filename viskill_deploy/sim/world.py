@@ -16,15 +16,15 @@ import numpy as np
 import numpy.typing as npt
 
 from viskill_deploy.core.description import CellArm, CellDescription
-from viskill_deploy.core.errors import ViskillError
 from viskill_deploy.core.types import ActiveObject, FloatArray, JointSetpoint, ObjectPose, Scene
 from viskill_deploy.motion.resolve import resolve
-from viskill_deploy.motion.waypoints import ActionSpec, start_waypoint
-from viskill_deploy.sim.scene import BLOCKS, LONGEST_STEP_S, block_name, build_model, colour
+from viskill_deploy.motion.waypoints import start_waypoint
+from viskill_deploy.sim.scene import LONGEST_STEP_S, build_model
+from viskill_deploy.sim.things import Things, colour
 
 AXES = 7
 SETTLE_S = 0.25
-"""Blocks are let fall for this long at a reset, as in the reference scene."""
+"""Things are let fall for this long at a reset, as in the reference scene."""
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
@@ -81,7 +81,7 @@ class _ArmIndex:
 
 
 class World:
-    """Both arms, the board and its blocks.
+    """The arms, the board and the things on it.
 
     Args:
         cell: the cell.
@@ -91,6 +91,7 @@ class World:
     Attributes:
         cell: the cell.
         options: as given.
+        substeps: physics steps in a control period.
         model, data: MuJoCo's, for rendering; leave writing to this class.
     """
 
@@ -98,21 +99,34 @@ class World:
         self, cell: CellDescription, options: WorldOptions | None = None, seed: int = 0
     ) -> None:
         self.cell, self.options = cell, options or WorldOptions()
-        self._substeps = math.ceil(self.options.period_s / LONGEST_STEP_S - 1e-9)
+        self.substeps: int = math.ceil(self.options.period_s / LONGEST_STEP_S - 1e-9)
         self.model = build_model(
-            cell, self.options.period_s / self._substeps, self.options.joint_friction
+            cell, self.options.period_s / self.substeps, self.options.joint_friction
         )
         self.data = mujoco.MjData(self.model)
         self._arms = [_ArmIndex(self.model, arm) for arm in cell.arms]
-        self._blocks = [block_name(i) for i in range(BLOCKS)] if cell.file.block else []
+        self._things = Things(self.model)
         self._active, self._goal = "", np.zeros(3)
         self._rng = np.random.default_rng(seed)
         self._pending: deque[FloatArray] = deque()
-        home = resolve(
-            cell, [start_waypoint(cell, ActionSpec())], [(0.0,) * AXES] * len(self._arms)
-        )
+        home = resolve(cell, [start_waypoint(cell)], [(0.0,) * AXES] * len(self._arms))
         self.home: FloatArray = home[1]
         """Axis positions (arms, 7) of the cell's start pose."""
+
+    @property
+    def things(self) -> tuple[str, ...]:
+        """Names of what the arms can move."""
+        return self._things.names
+
+    @property
+    def settle_steps(self) -> int:
+        """Physics steps for which things are let fall at a reset."""
+        return math.ceil(SETTLE_S / float(self.model.opt.timestep))
+
+    @property
+    def arm_qpos(self) -> npt.NDArray[np.intp]:
+        """Where each arm's joints and its two fingers lie in `qpos`, (arms, 8)."""
+        return np.array([index.qpos for index in self._arms])
 
     @property
     def time_s(self) -> float:
@@ -124,28 +138,36 @@ class World:
         self._rng = np.random.default_rng(seed)
 
     def reset(self, scene: Scene, axes: npt.ArrayLike | None = None) -> None:
-        """Puts blocks and arms in place, lets the blocks fall and starts time at 0.
+        """Puts things and arms in place, lets the things fall and starts time at 0.
 
         Args:
-            scene: poses of `block0`, ...; blocks that it does not name are put aside.
+            scene: poses of things; those that it does not name are put aside.
             axes: axis positions (arms, 7), jaw last; the cell's start pose by default.
 
         Raises:
             ViskillError: the scene names an object that this world does not have.
         """
+        self.place(scene, axes)
+        colour(self.model, self._active, self._goal)
+        mujoco.mj_step(self.model, self.data, nstep=self.settle_steps)
+        self.data.time = 0.0
+
+    def place(self, scene: Scene, axes: npt.ArrayLike | None = None) -> None:
+        """The first half of `reset`: everything in place and still, nothing fallen yet."""
         start = self.home if axes is None else np.asarray(axes, dtype=np.float64)
         mujoco.mj_resetData(self.model, self.data)
-        self._place_blocks(scene)
+        self._things.place(self.data, scene)
         for index, row in zip(self._arms, start, strict=True):
             self.data.qpos[index.qpos[:6]] = row[:6]
             self.data.qpos[index.qpos[6:]] = max(row[6], 0.0) / 2
-        self._active, self._goal = scene.active, np.array(scene.goal)
-        still = _controls(start, np.zeros_like(start))
+        self.attend(scene.active, scene.goal)
+        still = controls(start, np.zeros_like(start))
         self._pending = deque([still] * self.options.delay_periods)
         self.data.ctrl[:] = still
-        colour(self.model, self.cell, self._active, self._goal)
-        mujoco.mj_step(self.model, self.data, nstep=math.ceil(SETTLE_S / self.model.opt.timestep))
-        self.data.time = 0.0
+
+    def attend(self, active: str, goal: FloatArray) -> None:
+        """Says which thing counts, and where it has to go."""
+        self._active, self._goal = active, np.array(goal)
 
     def step(self, setpoints: Sequence[JointSetpoint]) -> None:
         """Lets one control period pass under one setpoint an arm."""
@@ -162,13 +184,13 @@ class World:
             positions: axis positions after each period, (n, arms, 7).
             velocities: axis velocities after each period, (n, arms, 7).
         """
-        for row in _controls(positions, velocities):
+        for row in controls(positions, velocities):
             self._period(row)
 
-    def _period(self, controls: FloatArray) -> None:
-        self._pending.append(controls)
+    def _period(self, row: FloatArray) -> None:
+        self._pending.append(row)
         self.data.ctrl[:] = self._pending.popleft()
-        mujoco.mj_step(self.model, self.data, nstep=self._substeps)
+        mujoco.mj_step(self.model, self.data, nstep=self.substeps)
 
     def measured(self, arm: int) -> ArmReading:
         """What the arm's sensors say, with noise where the options ask for it."""
@@ -183,10 +205,10 @@ class World:
         return ArmReading(tuple(jp.tolist()), tuple(v[:6].tolist()), jaw, float(v[6] + v[7]))
 
     def scene(self) -> Scene:
-        """Where the blocks are, as a camera would tell, with noise where asked for."""
+        """Where the things are, as a camera would tell, with noise where asked for."""
         objects = []
-        for name in self._blocks:
-            pose = self._pose(name)
+        for name in self._things.names:
+            pose = self._things.pose(self.data, name)
             if self.options.object_noise_m:
                 pose[:3, 3] += self._rng.normal(0.0, self.options.object_noise_m, 3)
             objects.append(ObjectPose(name, pose))
@@ -194,18 +216,10 @@ class World:
 
     def active_object(self) -> ActiveObject:
         """The true state of the active object."""
-        body = self.model.body(self._active)
-        dof = self.model.body_dofadr[body.id]
-        speed = float(np.linalg.norm(self.data.qvel[dof : dof + 3]))
-        first, count = self.model.body_geomadr[body.id], self.model.body_geomnum[body.id]
-        partners = set()
-        for a, b in self.data.contact.geom.tolist():
-            if first <= a < first + count:
-                partners.add(b)
-            elif first <= b < first + count:
-                partners.add(a)
+        things, name = self._things, self._active
+        partners = things.touching(self.data, name)
         touched = tuple(not index.geoms.isdisjoint(partners) for index in self._arms)
-        return ActiveObject(self._pose(self._active), speed, touched)
+        return ActiveObject(things.pose(self.data, name), things.speed(self.data, name), touched)
 
     def save(self) -> FloatArray:
         """The physical state, for `restore`."""
@@ -218,29 +232,8 @@ class World:
         mujoco.mj_setState(self.model, self.data, state, _STATE)
         mujoco.mj_forward(self.model, self.data)
 
-    def _pose(self, name: str) -> FloatArray:
-        start = self.model.jnt_qposadr[self.model.joint(name).id]
-        q = self.data.qpos[start : start + 7]
-        rotation, pose = np.empty(9), np.eye(4)
-        mujoco.mju_quat2Mat(rotation, q[3:])
-        pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), q[:3]
-        return pose
 
-    def _place_blocks(self, scene: Scene) -> None:
-        for number, name in enumerate(self._blocks):
-            start = self.model.jnt_qposadr[self.model.joint(name).id]
-            self.data.qpos[start : start + 3] = (0.25, 0.1 * number - 0.15, 0.01)
-        for thing in scene.objects:
-            if thing.name not in self._blocks:
-                known = ", ".join(self._blocks) or "none"
-                raise ViskillError(f"no object {thing.name!r} in this world; it has: {known}")
-            start = self.model.jnt_qposadr[self.model.joint(thing.name).id]
-            self.data.qpos[start : start + 3] = thing.T_task_object[:3, 3]
-            rotation = np.ascontiguousarray(thing.T_task_object[:3, :3]).ravel()
-            mujoco.mju_mat2Quat(self.data.qpos[start + 3 : start + 7], rotation)
-
-
-def _controls(positions: FloatArray, velocities: FloatArray) -> FloatArray:
+def controls(positions: FloatArray, velocities: FloatArray) -> FloatArray:
     """MuJoCo's control vector: position, velocity of every axis in turn, (..., 2 axes)."""
     pairs = np.stack([positions, velocities], axis=-1)
     return pairs.reshape(*positions.shape[:-2], -1)

@@ -39,7 +39,15 @@ Layout = tuple[tuple[str, int], ...]
 
 
 class Task(Protocol):
-    """A task: pure functions of what is seen. Lengths in m, task frame, angles in rad."""
+    """A task: pure functions of what is seen. Lengths in m, task frame, angles in rad.
+
+    Learning runs many environments side by side. A task whose class says `batched = True` promises
+    that `observe`, `scripted_action`, `achieved` and `skill_success` take arrays with any leading
+    dimensions and give each environment what it would get alone: index with `...`, join along
+    `axis=-1`, decide with `np.where`. The scene is then a `sim.vector_scenes.Scenes`, which reads
+    as a `Scene` does: `scene.pose(scene.active)` is (N, 4, 4), `scene.goal` is (N, 3). The
+    functions of other tasks are called for one environment after the other: the same, but slower.
+    """
 
     @property
     def name(self) -> str:
@@ -81,7 +89,10 @@ class Task(Protocol):
         ...
 
     def observe(
-        self, T_task_tip: Sequence[FloatArray], jaws: Sequence[float], scene: Scene
+        self,
+        T_task_tip: Sequence[FloatArray],
+        jaws: Sequence[float | FloatArray],
+        scene: Scene,
     ) -> FloatArray:
         """The policy's observation from measured tips (4, 4), jaw openings and the scene."""
         ...
@@ -115,7 +126,9 @@ class Task(Protocol):
         """The contacts that subgoals speak of, in the order of a subgoal's flags."""
         ...
 
-    def achieved(self, skill: str, observation: FloatArray, flags: Sequence[bool]) -> FloatArray:
+    def achieved(
+        self, skill: str, observation: FloatArray, flags: Sequence[bool] | FloatArray
+    ) -> FloatArray:
         """What stands where the skill's subgoal would stand, from what is seen."""
         ...
 

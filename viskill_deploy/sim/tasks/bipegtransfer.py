@@ -6,6 +6,7 @@ of the last link (frame 6: y forward, z along the jaw's hinge), whose origin is 
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,9 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from viskill_deploy.core.cell_files import Block, Board
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DataFileError
-from viskill_deploy.core.robot_files import Block, Board
 from viskill_deploy.core.types import ActiveObject, FloatArray, ObjectPose, Scene
 from viskill_deploy.motion.waypoints import ActionSpec
 from viskill_deploy.sim.tasks import bipegtransfer_script as script
@@ -65,13 +66,12 @@ OBSERVATION: Layout = (
 GOAL: Layout = (("first_position", 3), ("second_position", 3), ("contact", 2))
 
 
-def fixed_euler(R: FloatArray) -> tuple[float, float, float]:
-    """Fixed-axis x, y, z angles of a rotation, rad."""
-    return (
-        math.atan2(R[2, 1], R[2, 2]),
-        math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0])),
-        math.atan2(R[1, 0], R[0, 0]),
-    )
+def fixed_euler(R: FloatArray) -> FloatArray:
+    """Fixed-axis x, y, z angles of rotations (..., 3, 3), (..., 3) rad."""
+    opposite = (R[..., 2, 1], -R[..., 2, 0], R[..., 1, 0])
+    adjacent = (R[..., 2, 2], np.hypot(R[..., 0, 0], R[..., 1, 0]), R[..., 0, 0])
+    angles: FloatArray = np.arctan2(np.stack(opposite, axis=-1), np.stack(adjacent, axis=-1))
+    return angles
 
 
 @dataclass(frozen=True)
@@ -82,11 +82,18 @@ class BiPegTransfer:
     board: Board
     block: Block
     name: str = "bipegtransfer"
+    batched: bool = True
     skills: tuple[SkillSpec, ...] = SKILLS
     action: ActionSpec = field(default_factory=ActionSpec)
     observation_layout: Layout = OBSERVATION
     goal_layout: Layout = GOAL
     distributions: tuple[str, ...] = ("reference", "wide")
+
+    @functools.cached_property
+    def _grasp_frames(self) -> tuple[FloatArray, ...]:
+        """Where a jaw takes hold of each side, in the block's frame, (4, 4) each."""
+        places = zip(self.block.grasp_frame_xy_m, self.block.grasp_frame_yaw_rad, strict=True)
+        return tuple(_upright(xy, 0.0, yaw) for xy, yaw in places)
 
     @property
     def rest_height_m(self) -> float:
@@ -121,28 +128,35 @@ class BiPegTransfer:
         return Scene(0.0, objects, f"block{active}", goal_point)
 
     def observe(
-        self, T_task_tip: Sequence[FloatArray], jaws: Sequence[float], scene: Scene
+        self,
+        T_task_tip: Sequence[FloatArray],
+        jaws: Sequence[float | FloatArray],
+        scene: Scene,
     ) -> FloatArray:
-        """The observation, (35,), laid out as `OBSERVATION`.
+        """The observation, (..., 35), laid out as `OBSERVATION`.
 
         Args:
-            T_task_tip: measured tip of PSM1 and PSM2, (4, 4) each.
-            jaws: measured opening of both jaws, rad.
+            T_task_tip: measured tip of PSM1 and PSM2, (..., 4, 4) each.
+            jaws: measured opening of both jaws, (...) each, rad.
             scene: gives the active object's pose.
         """
         thing = scene.pose(scene.active)
-        place = thing[:3, 3]
-        tips = [T[:3, 3] for T in T_task_tip]
-        parts: list[FloatArray | tuple[float, ...]] = []
-        for arm, T, jaw in zip(self.cell.arms, T_task_tip, jaws, strict=True):
-            parts += [T[:3, 3], fixed_euler(T[:3, :3] @ arm.arm.tip_rotation.T), (jaw,)]
+        place = thing[..., :3, 3]
+        tips = [T[..., :3, 3] for T in T_task_tip]
+        frames = [thing @ frame for frame in self._grasp_frames]
+        eefs = [
+            T[..., :3, :3] @ arm.arm.tip_rotation.T
+            for arm, T in zip(self.cell.arms, T_task_tip, strict=True)
+        ]
+        turned = np.stack([*eefs, *(frame[..., :3, :3] for frame in frames)], axis=-3)
+        euler = fixed_euler(turned)
+        parts: list[FloatArray] = []
+        for index, (tip, jaw) in enumerate(zip(tips, jaws, strict=True)):
+            parts += [tip, euler[..., index, :], np.asarray(jaw)[..., None]]
         parts += [place, *(place - tip for tip in tips)]
-        for (x, y), yaw in zip(
-            self.block.grasp_frame_xy_m, self.block.grasp_frame_yaw_rad, strict=True
-        ):
-            frame = thing @ _upright((x, y), 0.0, yaw)
-            parts += [frame[:3, 3], fixed_euler(frame[:3, :3])]
-        return np.concatenate(parts)
+        for index, frame in enumerate(frames):
+            parts += [frame[..., :3, 3], euler[..., 2 + index, :]]
+        return np.concatenate(parts, axis=-1)
 
     def subgoals(
         self, observation: FloatArray, scene: Scene, rng: np.random.Generator
@@ -174,7 +188,7 @@ class BiPegTransfer:
     def scripted_action(
         self, skill: str, observation: FloatArray, subgoal: FloatArray
     ) -> FloatArray:
-        """The scripted controller's action, (10,)."""
+        """The scripted controller's actions, (..., 10)."""
         return script.act(skill, observation, subgoal, self.action)
 
     def complete_subgoal(
@@ -192,15 +206,17 @@ class BiPegTransfer:
         """Per arm, whether it touches the block."""
         return thing.touched
 
-    def achieved(self, skill: str, observation: FloatArray, flags: Sequence[bool]) -> FloatArray:
-        """Positions and contacts in the order of the skill's subgoal, (8,)."""
-        psm1, psm2, thing = observation[0:3], observation[7:10], observation[14:17]
+    def achieved(
+        self, skill: str, observation: FloatArray, flags: Sequence[bool] | FloatArray
+    ) -> FloatArray:
+        """Positions and contacts in the order of the skill's subgoal, (..., 8)."""
+        psm1, psm2, thing = observation[..., 0:3], observation[..., 7:10], observation[..., 14:17]
         first, second = {
             "grasp": (psm1, psm2),
             "handover": (psm2, psm1),
             "release": (psm2, thing),
         }[skill]
-        return np.concatenate([first, second, [float(t) for t in flags]])
+        return np.concatenate([first, second, np.asarray(flags, dtype=np.float64)], axis=-1)
 
     def skill_success(
         self, skill: str, achieved: FloatArray, subgoal: FloatArray
