@@ -9,12 +9,15 @@ import typer
 
 from viskill_deploy.core.errors import MissingExtraError
 
-EXAMPLE = "Example: viskill export runs/imitation policies/bipegtransfer-imitation"
+EXAMPLE = "Example: viskill export runs/viskill policies/bipegtransfer-viskill"
 
 
 def command(
     run: Annotated[Path, typer.Argument(help="Folder that `viskill train` wrote.")],
     output: Annotated[Path, typer.Argument(help="The bundle's folder.")],
+    method: Annotated[
+        str, typer.Option(help="Whose chaining policy, of those trained in the folder.")
+    ] = "viskill",
     episodes: Annotated[
         int, typer.Option(min=0, help="Episodes to measure in each distribution.")
     ] = 100,
@@ -23,6 +26,7 @@ def command(
     """Export a training run as ONNX graphs with manifest and model card, and measure it."""
     try:
         from viskill_deploy.train import export  # noqa: PLC0415 - torch is an extra
+        from viskill_deploy.train import run as runs
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "viskill export") from error
-    export.export(run, output, episodes, seed)
+    export.export(export.load_trained(runs.Run.open(run), method), output, episodes, seed)

@@ -3,127 +3,180 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnxruntime
-import torch
 
 from viskill_deploy.bundle.format import (
     ActionEntry,
     ArmEntry,
+    ChainingEntry,
     LayoutEntry,
     Manifest,
     Measured,
     SkillEntry,
     TrainingRange,
+    ValueEntry,
+    chain_file,
+    skill_file,
+    value_file,
     write_manifest,
 )
 from viskill_deploy.core.errors import TrainingError
-from viskill_deploy.sim.tasks.base import Layout, Task, load_task
+from viskill_deploy.core.types import FloatArray
+from viskill_deploy.sim.tasks.base import Layout
+from viskill_deploy.train import store
 from viskill_deploy.train.card import model_card
-from viskill_deploy.train.checkpoint import Checkpoint, load_checkpoint
-from viskill_deploy.train.episodes import workers
+from viskill_deploy.train.chain_learning import Chained
+from viskill_deploy.train.chaining import Chaining
 from viskill_deploy.train.evaluate import Score, evaluate
-from viskill_deploy.train.fit import Labelled
-from viskill_deploy.train.imitation import Say, graphs_of
-from viskill_deploy.train.network import SkillNetwork, scaling_of
+from viskill_deploy.train.graph import chain_graph, skill_graph, value_graph
+from viskill_deploy.train.network import scaling_of, size
+from viskill_deploy.train.replay import Float32Array
+from viskill_deploy.train.run import Run, actor, demos_of
+from viskill_deploy.train.subgoal_space import POSITIONS, chain_layout, value_layout
 
-METHOD = "imitation"
 CARD = "MODEL_CARD.md"
-TOLERANCE = 1e-6
+TOLERANCE = 1e-5
 CHECKED_STATES = 512
+VALUE_THRESHOLD = 0.5
+"""Below this the runtime tells that success is unlikely."""
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a finished run has learned.
+
+    Attributes:
+        run: where it lies.
+        method: of the chaining policy.
+        skills: result of every skill, as `run.skills_of` gives it.
+        chaining: policies and values.
+    """
+
+    run: Run
+    method: str
+    skills: Sequence[dict[str, Any]]
+    chaining: Chaining
+
+
+def load_trained(run: Run, method: str) -> Trained:
+    """The results of a run.
+
+    Raises:
+        TrainingError: the run is not finished.
+    """
+    stages = [f"skill-{skill.name}" for skill in run.task.skills] + [f"chain-{method}"]
+    for stage in stages:
+        if not run.done(stage):
+            raise TrainingError(
+                f"{run.folder} has not finished {stage}; train it with --method {method} first"
+            )
+    chaining = Chaining(run.task, run.settings.chain, run.seed)
+    chaining.load(store.load(run.result(stages[-1])))
+    skills = [store.load(run.result(stage)) for stage in stages[:-1]]
+    return Trained(run, method, skills, chaining)
 
 
 def export(
-    run: Path,
+    trained: Trained,
     output: Path,
     episodes: int = 100,
     seed: int = 0,
-    processes: int = 2,
-    say: Say = print,
+    say: Callable[[str], None] = print,
 ) -> Path:
-    """Writes the bundle of a finished training run and measures it.
+    """Writes the bundle of a finished run and measures it.
 
     Args:
-        run: folder that `imitation.train` wrote.
+        trained: what the run has learned.
         output: the bundle's folder; made if missing, its own files are replaced.
         episodes: evaluated in each of the task's distributions; 0 for none.
         seed: of the evaluation episodes.
-        processes: to share them among.
         say: told about progress.
 
     Returns:
         The bundle's folder.
 
     Raises:
-        TrainingError: there is no run, or a graph does not compute what the network computes.
-        BundleError: the folder holds files that do not belong to a bundle.
+        TrainingError: a graph does not compute what its network computes.
     """
-    state = load_checkpoint(run)
-    if state is None or not state.weights:
-        raise TrainingError(f"{run} holds no training run; train first")
-    task = load_task(state.task)
-    graphs = graphs_of(task, state.weights)
-    for name, graph in graphs.items():
-        check_graph(task, state, name, graph)
-    with workers(processes if episodes else 1) as pool:
-        scores = []
-        for distribution in task.distributions if episodes else ():
-            scores.append(evaluate(task, graphs, distribution, episodes, seed, pool))
-            say(f"{distribution}: {scores[-1].success_rate:.0%} of {episodes} episodes")
+    run = trained.run
+    graphs = graphs_of(trained)
+    policy = Chained([actor(run, skill["weights"]) for skill in trained.skills], trained.chaining)
+    scores = []
+    for distribution in run.task.distributions if episodes else ():
+        scores.append(evaluate(run.loop, policy, distribution, episodes, seed))
+        say(f"{distribution}: {scores[-1].success_rate:.1%} of {episodes} episodes")
     output.mkdir(parents=True, exist_ok=True)
     for name, graph in graphs.items():
-        (output / graph_file(name)).write_bytes(graph)
-    command = f"viskill export {os.path.relpath(run)} {os.path.relpath(output)}"
+        (output / name).write_bytes(graph)
+    command = f"viskill export {os.path.relpath(run.folder)} {os.path.relpath(output)}"
     command += f" --episodes {episodes} --seed {seed}"
-    manifest = build_manifest(task, state, scores, command)
-    (output / CARD).write_text(model_card(manifest, state, scores, command), encoding="utf-8")
+    manifest = build_manifest(trained, scores, command)
+    (output / CARD).write_text(model_card(manifest, run.settings, scores, command), "utf-8")
     write_manifest(output, manifest)
     say(f"bundle written to {output}")
     return output
 
 
-def graph_file(skill: str) -> str:
-    """Name of a skill's graph in a bundle."""
-    return f"skill-{skill}.onnx"
+def graphs_of(trained: Trained) -> dict[str, bytes]:
+    """Every graph of the bundle by its file's name, each checked against its network."""
+    task, chaining = trained.run.task, trained.chaining
+    n, m = size(task.observation_layout), size(task.goal_layout)
+    skill_scale = scaling_of(task)
+    chain_scale, value_scale = (scaling_of(task, f(task)) for f in (chain_layout, value_layout))
+    demos = demos_of(trained.run)
+    graphs: dict[str, bytes] = {}
+    for index, skill in enumerate(task.skills):
+        data = demos[index].clean
+        obs, goal = data.obs[:, 0][:CHECKED_STATES], data.goal[:CHECKED_STATES]
+        goals3 = np.tile(np.float32([0.01, 0.02, 0.005]), (len(obs), 1))
+        feed = {"obs": obs, "goal": goal, "task_goal": goals3, "subgoal": goal}
+        weights = trained.skills[index]["weights"]
+        act = actor(trained.run, weights)
+        name = skill_file(skill.name)
+        graphs[name] = _checked(name, skill_graph(skill_scale, weights, n, m), feed, act(obs, goal))
+        name = value_file(skill.name)
+        pair = [network.weights() for network in chaining.values[index]]
+        wished = chaining.probability(index, obs, goals3, goal[:, :POSITIONS])[:, None]
+        graphs[name] = _checked(name, value_graph(value_scale, pair, n, m), feed, wished)
+        if index < len(task.skills) - 1:
+            name = chain_file(skill.name)
+            policy = chaining.policies[index].network.weights()
+            graph = chain_graph(chain_scale, policy, chaining.space, n)
+            graphs[name] = _checked(name, graph, feed, chaining.choose(index, obs, goals3))
+    return graphs
 
 
-def check_graph(task: Task, state: Checkpoint, skill: str, graph: bytes) -> float:
-    """Largest difference between graph and network on states of the training run.
+def _checked(name: str, graph: bytes, feed: dict[str, Float32Array], wished: FloatArray) -> bytes:
+    """The graph, if it computes what is wished.
 
     Raises:
-        TrainingError: it is above 1e-6.
+        TrainingError: it does not.
     """
-    data = state.data[skill]
-    rows = np.linspace(0, len(data.obs) - 1, CHECKED_STATES).astype(int)
-    feed = {"obs": data.obs[rows], "goal": data.goal[rows]}
-    network = SkillNetwork(scaling_of(task), data.action.shape[1])
-    network.load(state.weights[skill])
-    with torch.no_grad():
-        expected = network(*(torch.from_numpy(value) for value in feed.values())).numpy()
     session = onnxruntime.InferenceSession(graph, providers=["CPUExecutionProvider"])
-    worst = float(np.abs(session.run(["action"], feed)[0] - expected).max())
+    mine = {node.name: feed[node.name] for node in session.get_inputs()}
+    worst = float(np.abs(session.run(None, mine)[0] - wished).max())
     if not worst <= TOLERANCE:
-        raise TrainingError(
-            f"the graph of {skill} differs from its network by {worst:.2g}; report this"
-        )
-    return worst
+        raise TrainingError(f"{name} differs from its network by {worst:.2g}; report this")
+    return graph
 
 
-def build_manifest(
-    task: Task, state: Checkpoint, scores: Sequence[Score], command: str
-) -> Manifest:
+def build_manifest(trained: Trained, scores: Sequence[Score], command: str) -> Manifest:
     """The manifest of a bundle, hashes still empty."""
-    spec = task.action
+    task, spec = trained.run.task, trained.run.task.action
+    names = [skill.name for skill in task.skills]
     return Manifest(
         schema=1,
-        name=f"{task.name}-{METHOD}",
+        name=f"{task.name}-{trained.method}",
         task=task.name,
         cell=task.cell.name,
-        method=METHOD,
+        method=trained.method,
         created_by=f"viskill-deploy {version('viskill-deploy')}",
         arms=tuple(
             ArmEntry(name=arm.name, robot=arm.entry.robot, tool=arm.entry.tool)
@@ -133,34 +186,29 @@ def build_manifest(
         control_point="jaw_pivot",
         length_unit="m",
         step_s=task.cell.file.motion.step_s,
-        action=ActionEntry(
-            reference=spec.reference,
-            displacement_m=spec.displacement_m,
-            max_displacement_m=spec.max_displacement_m,
-            rotation=spec.rotation,
-            rotation_rad=spec.rotation_rad,
-            pitch_rad=spec.pitch_rad,
-            jaw="binary",
-            jaw_open_rad=spec.jaw_open_rad,
-        ),
+        action=ActionEntry.of(spec, task.cell),
         observation=_layout(task.observation_layout),
         goal=_layout(task.goal_layout),
         skills=tuple(
             SkillEntry(
                 name=skill.name,
-                file=graph_file(skill.name),
+                file=skill_file(skill.name),
                 budget=skill.budget,
                 may_open_jaw=skill.may_open_jaw,
             )
             for skill in task.skills
         ),
-        subgoals="scripted",
-        training_range=training_range(list(state.data.values())),
-        seeds=(state.seed,),
+        subgoals="chaining",
+        chaining=ChainingEntry(graphs={name: chain_file(name) for name in names[:-1]}),
+        value=ValueEntry(
+            graphs={name: value_file(name) for name in names}, threshold=VALUE_THRESHOLD
+        ),
+        training_range=training_range(trained.skills),
+        seeds=(trained.run.seed,),
         measured=tuple(
             Measured(
                 distribution=score.distribution,
-                mode="closed-loop",
+                mode="learning-world",
                 episodes=score.episodes,
                 success_rate=score.success_rate,
                 command=command,
@@ -171,12 +219,12 @@ def build_manifest(
     )
 
 
-def training_range(data: Sequence[Labelled]) -> TrainingRange:
-    """Smallest and largest value of every observation entry in the training states."""
-    low = np.min([part.obs.min(axis=0) for part in data], axis=0)
-    high = np.max([part.obs.max(axis=0) for part in data], axis=0)
+def training_range(skills: Sequence[dict[str, Any]]) -> TrainingRange:
+    """Smallest and largest value of every observation entry that any skill has seen."""
+    low = np.min([skill["seen"][0] for skill in skills], axis=0)
+    high = np.max([skill["seen"][1] for skill in skills], axis=0)
     return TrainingRange(lower=tuple(map(float, low)), upper=tuple(map(float, high)))
 
 
 def _layout(layout: Layout) -> tuple[LayoutEntry, ...]:
-    return tuple(LayoutEntry(name=name, size=size) for name, size in layout)
+    return tuple(LayoutEntry(name=name, size=length) for name, length in layout)

@@ -26,7 +26,7 @@ from viskill_deploy.train.demos import SkillDemos, record_demos
 from viskill_deploy.train.network import Network, scaling_of
 from viskill_deploy.train.replay import Episodes
 from viskill_deploy.train.rollout import Act, Start, run_skill, saved
-from viskill_deploy.train.settings import RunSettings
+from viskill_deploy.train.settings import RunSettings, checked
 from viskill_deploy.train.skill_learning import SkillData, SkillLearner
 
 LOG = "log.jsonl"
@@ -99,6 +99,20 @@ class Run:
             )
         path.write_text(text, encoding="utf-8")
 
+    @classmethod
+    def open(cls, folder: Path, say: Say = print, threads: int = 1) -> Run:
+        """The run that lies in `folder`.
+
+        Raises:
+            TrainingError: there is none.
+        """
+        path = folder / SETTINGS
+        if not path.is_file():
+            raise TrainingError(f"{folder} holds no training run; train first")
+        facts = json.loads(path.read_text("utf-8"))
+        settings = checked(path, RunSettings, facts["settings"])
+        return cls(folder, facts["task"], facts["seed"], settings, say, threads)
+
     @property
     def loop(self) -> VectorLoop:
         """The environments, made when first used."""
@@ -162,8 +176,8 @@ def skills_of(run: Run) -> list[dict[str, Any]]:
     """What is known of every skill, learned one after the other if not there yet.
 
     Returns:
-        Per skill: `weights` of the best actor, its test's `success`, the `agent` at the end, and
-        `ends`, where the skill leaves the task.
+        Per skill: `weights` of the best actor, its test's `success`, the `agent` at the end,
+        smallest and largest observations `seen`, and `ends`, where the skill leaves the task.
     """
     trees: list[dict[str, Any]] = []
     for index, skill in enumerate(run.task.skills):
@@ -206,6 +220,7 @@ def finish_skill(run: Run, stage: str, learner: SkillLearner) -> None:
             "weights": weights,
             "success": learner.best,
             "agent": learner.agent.state(),
+            "seen": learner.seen(),
             "ends": [start.tree() for start in ends],
         },
     )
@@ -234,7 +249,8 @@ def actor(run: Run, weights: dict[str, FloatArray]) -> Act:
     def act(obs: FloatArray, goal: FloatArray) -> FloatArray:
         x = torch.from_numpy(np.concatenate([obs, goal], axis=1).astype(np.float32))
         with torch.no_grad():
-            return torch.tanh(network(x)).numpy().astype(np.float64)
+            action: FloatArray = torch.tanh(network(x)).numpy().astype(np.float64)
+        return action
 
     return act
 

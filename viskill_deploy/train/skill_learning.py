@@ -19,7 +19,7 @@ from viskill_deploy.sim.vector_loop import VectorLoop
 from viskill_deploy.train.dex import Dex, DexSettings
 from viskill_deploy.train.network import scaling_of
 from viskill_deploy.train.optimiser import state_of
-from viskill_deploy.train.replay import Batch, Episodes, Replay
+from viskill_deploy.train.replay import Batch, Episodes, Float32Array, Replay
 from viskill_deploy.train.rollout import Start, final_goals, fresh, reached, resume, run_skill
 from viskill_deploy.train.subgoal_space import POSITIONS
 
@@ -232,6 +232,16 @@ class SkillLearner:
             pool = self.data.learned if learned else self.data.scripted
             starts.append(pool[int(rng.integers(len(pool)))])
         return resume(self.loop, starts)
+
+    def seen(self) -> Float32Array:
+        """Smallest and largest observations of demonstrations and experience, (2, n)."""
+        parts = [self.data.demos.obs, self.data.corrected.obs]
+        if len(self.experience):
+            parts.append(self.experience.state()["obs"])
+        rows = [part.reshape(-1, part.shape[-1]) for part in parts]
+        low = np.min([part.min(axis=0) for part in rows], axis=0)
+        high = np.max([part.max(axis=0) for part in rows], axis=0)
+        return np.stack([low, high])
 
     def state(self) -> dict[str, Any]:
         """Everything that learning goes on from."""

@@ -6,7 +6,7 @@ import importlib
 import pkgutil
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,9 @@ class SkillSpec:
     budget: int
     may_open_jaw: tuple[bool, ...]
 
+
+AnyFloatArray = npt.NDArray[np.floating[Any]]
+"""Numbers of the control loop (64 bits) or of learning (32 bits)."""
 
 Layout = tuple[tuple[str, int], ...]
 """Names and sizes of the stretches of a vector."""
@@ -127,13 +130,13 @@ class Task(Protocol):
         ...
 
     def achieved(
-        self, skill: str, observation: FloatArray, flags: Sequence[bool] | FloatArray
+        self, skill: str, observation: AnyFloatArray, flags: Sequence[bool] | AnyFloatArray
     ) -> FloatArray:
         """What stands where the skill's subgoal would stand, from what is seen."""
         ...
 
     def skill_success(
-        self, skill: str, achieved: FloatArray, subgoal: FloatArray
+        self, skill: str, achieved: AnyFloatArray, subgoal: AnyFloatArray
     ) -> npt.NDArray[np.bool_]:
         """Whether a skill has reached its subgoal; (..., m) and (..., m) give (...)."""
         ...
