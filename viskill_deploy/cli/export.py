@@ -25,8 +25,8 @@ def command(
 ) -> None:
     """Export a training run as ONNX graphs with manifest and model card, and measure it."""
     try:
-        from viskill_deploy.train import export  # noqa: PLC0415 - torch is an extra
-        from viskill_deploy.train import run as runs
+        from viskill_deploy.train.export import export, load_trained  # noqa: PLC0415 - an extra
+        from viskill_deploy.train.run import Run  # noqa: PLC0415
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "viskill export") from error
-    export.export(export.load_trained(runs.Run.open(run), method), output, episodes, seed)
+    export(load_trained(Run.open(run), method), output, episodes, seed)

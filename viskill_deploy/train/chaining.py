@@ -24,7 +24,7 @@ import torch
 from torch.nn import functional
 
 from viskill_deploy.core.types import FloatArray
-from viskill_deploy.sim.tasks.base import Task
+from viskill_deploy.sim.tasks.base import AnyFloatArray, Task
 from viskill_deploy.train.network import Network, scaling_of
 from viskill_deploy.train.optimiser import adam, descend, follow, frozen, restore, state_of
 from viskill_deploy.train.replay import Float32Array
@@ -130,8 +130,8 @@ class Chaining:
     def choose(
         self,
         index: int,
-        obs: FloatArray,
-        task_goal: FloatArray,
+        obs: AnyFloatArray,
+        task_goal: AnyFloatArray,
         rng: np.random.Generator | None = None,
     ) -> FloatArray:
         """Positions (N, 6) m that a policy chooses; its mean without `rng`, else a sample."""
@@ -145,7 +145,11 @@ class Chaining:
         return self.space.positions(np.tanh(before))
 
     def probability(
-        self, index: int, obs: FloatArray, task_goal: FloatArray, positions: FloatArray
+        self,
+        index: int,
+        obs: AnyFloatArray,
+        task_goal: AnyFloatArray,
+        positions: AnyFloatArray,
     ) -> FloatArray:
         """P(the whole task succeeds) at the start of a skill with a subgoal, (N,)."""
         with torch.no_grad():
@@ -309,5 +313,5 @@ class Chaining:
                 restore(part, network)
 
 
-def _tensor(values: FloatArray | Float32Array) -> torch.Tensor:
+def _tensor(values: AnyFloatArray) -> torch.Tensor:
     return torch.from_numpy(np.asarray(values, dtype=np.float32))

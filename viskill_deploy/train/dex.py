@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from viskill_deploy.core.types import FloatArray
+from viskill_deploy.sim.tasks.base import AnyFloatArray
 from viskill_deploy.train.network import Network, Scaling
 from viskill_deploy.train.optimiser import adam, descend, follow, frozen, restore, state_of
 from viskill_deploy.train.replay import Batch, Float32Array
@@ -90,7 +91,7 @@ class Dex:
         self._actor_optimiser = adam(self.actor, settings.actor_rate)
         self._critic_optimiser = adam(self.critic, settings.critic_rate)
 
-    def act(self, obs: FloatArray, goal: FloatArray) -> FloatArray:
+    def act(self, obs: AnyFloatArray, goal: AnyFloatArray) -> FloatArray:
         """Actions (N, k) in [-1, 1] without exploration."""
         x = torch.from_numpy(np.concatenate([obs, goal], axis=1).astype(np.float32))
         with torch.no_grad():

@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.sim import vector_task
-from viskill_deploy.sim.tasks.base import Task
+from viskill_deploy.sim.tasks.base import AnyFloatArray, Task
 from viskill_deploy.sim.vector_loop import EpisodeState, VectorLoop
 from viskill_deploy.train.replay import Episodes, Float32Array
 
-Act = Callable[[FloatArray, FloatArray], FloatArray]
+Act = Callable[[AnyFloatArray, AnyFloatArray], FloatArray]
 """(observations (N, n), subgoals (N, m)) → actions (N, k)."""
 
 

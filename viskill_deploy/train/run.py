@@ -19,7 +19,7 @@ import torch
 from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.errors import TrainingError
 from viskill_deploy.core.types import FloatArray
-from viskill_deploy.sim.tasks.base import load_task
+from viskill_deploy.sim.tasks.base import AnyFloatArray, load_task
 from viskill_deploy.sim.vector_loop import VectorLoop
 from viskill_deploy.train import store
 from viskill_deploy.train.demos import SkillDemos, record_demos
@@ -246,7 +246,7 @@ def actor(run: Run, weights: dict[str, FloatArray]) -> Act:
     )
     network.load(weights)
 
-    def act(obs: FloatArray, goal: FloatArray) -> FloatArray:
+    def act(obs: AnyFloatArray, goal: AnyFloatArray) -> FloatArray:
         x = torch.from_numpy(np.concatenate([obs, goal], axis=1).astype(np.float32))
         with torch.no_grad():
             action: FloatArray = torch.tanh(network(x)).numpy().astype(np.float64)
