@@ -13,6 +13,11 @@ from rich.table import Table
 from viskill_deploy.bundle.format import Manifest, load_bundle
 from viskill_deploy.runtime.preflight import find_bundle, prepare
 
+SUBGOALS = {
+    "scripted": "from the scripted plan",
+    "chaining": "chosen by the chaining policy; the last skill's by the task",
+}
+
 EXAMPLE = "Example: viskill inspect policies/bipegtransfer-imitation"
 
 
@@ -32,6 +37,12 @@ def command(
     print(f"it fits the cell {manifest.cell} of this installation")
 
 
+def _value(manifest: Manifest) -> str:
+    if manifest.value is None:
+        return "none"
+    return f"read at every skill's start, low below {manifest.value.threshold:g}"
+
+
 def _print(manifest: Manifest, console: Console) -> None:
     facts = Table(title=manifest.name, title_justify="left", show_header=False)
     arms = ", ".join(f"{arm.name} ({arm.robot}, {arm.tool})" for arm in manifest.arms)
@@ -42,12 +53,19 @@ def _print(manifest: Manifest, console: Console) -> None:
         ("arms", arms),
         ("policy step", f"{manifest.step_s} s"),
         ("observation", f"{manifest.observation_size} numbers"),
-        ("subgoals", f"{manifest.goal_size} numbers, {manifest.subgoals}"),
+        ("subgoals", f"{manifest.goal_size} numbers, {SUBGOALS[manifest.subgoals]}"),
+        ("value", _value(manifest)),
     ):
         facts.add_row(name, text)
-    skills = Table("skill", "steps", "graph", title="Skills", title_justify="left")
+    skills = Table(
+        "skill", "steps", "graph", "subgoal", "value", title="Skills", title_justify="left"
+    )
+    chaining = manifest.chaining.graphs if manifest.chaining else {}
+    values = manifest.value.graphs if manifest.value else {}
+    given = "scripted" if manifest.subgoals == "scripted" else "task"
     for skill in manifest.skills:
-        skills.add_row(skill.name, str(skill.budget), skill.file)
+        subgoal, value = chaining.get(skill.name, given), values.get(skill.name, "–")
+        skills.add_row(skill.name, str(skill.budget), skill.file, subgoal, value)
     measured = Table(
         "distribution", "mode", "episodes", "success", title="Measured", title_justify="left"
     )

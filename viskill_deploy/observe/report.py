@@ -18,11 +18,15 @@ from viskill_deploy.observe import figures
 from viskill_deploy.observe.labels import action_label, rule_label
 from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.observe.records import RunData
-from viskill_deploy.observe.summary import Result, facts, margin_rows, outcome, skill_rows
+from viskill_deploy.observe.starts import Result, start_rows
+from viskill_deploy.observe.summary import facts, margin_rows, outcome, skill_rows
 from viskill_deploy.observe.video import Video
 
 PLOTS = {
-    "paths": ("Tip paths", "Task frame, origin at the centre of the board. Dots mark the start."),
+    "paths": (
+        "Tip paths",
+        "Task frame, origin at the centre of the board. Dots mark the start, diamonds subgoals.",
+    ),
     "verdicts": ("Verdicts of the gate", "What each rule said, cycle by cycle, under the skills."),
     "joints": ("Joints against limits", "Measured; dotted lines are the arm's limits."),
     "tracking": ("Tracking error", "Setpoint less measured; shading changes with the skill."),
@@ -58,10 +62,13 @@ def write_report(
     """
     data, trouble = _plotted(recording, result, episode)
     page = _environment().get_template("report.html.j2")
+    shown = _shown(result, episode)
     html = page.render(
         result=result,
         facts=facts(result),
         skills=skill_rows(result),
+        starts=start_rows(result, shown),
+        shown=shown,
         margins=margin_rows(result),
         episodes=list(result.get("episode_results") or ()),
         about=_about(result, cell, data),
@@ -82,16 +89,19 @@ def _plotted(
     """The episode to plot, and why there is none ("" when there is, or none is asked for)."""
     if recording is None:
         return None, ""
-    known = [e["episode"] for e in result.get("episode_results") or () if "episode" in e]
-    if episode is None and known:
-        episode = known[0]
     try:
-        data = read_recording(recording, episode)
+        data = read_recording(recording, _shown(result, episode))
     except RecordingError as error:
         return None, f"no plots: {error}"
     if not data.duration_s:
         return None, f"no plots: {recording} holds no motion"
     return data, ""
+
+
+def _shown(result: Result, episode: int | None) -> int | None:
+    """The episode to show: the one asked for, or the first that the result knows."""
+    known = [e["episode"] for e in result.get("episode_results") or () if "episode" in e]
+    return known[0] if episode is None and known else episode
 
 
 def _episode_of(data: RunData | None) -> int | None:
