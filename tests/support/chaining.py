@@ -58,9 +58,7 @@ def affine_graph(
 def chain_graph(bias: Sequence[float], observation: int = OBS, goal: int = GOAL) -> bytes:
     """A chaining graph that always chooses the same."""
     sizes = (("obs", observation), ("task_goal", goal))
-    return affine_graph(
-        sizes, "subgoal", np.zeros((len(bias), observation + goal)), np.array(bias)
-    )
+    return affine_graph(sizes, "subgoal", np.zeros((len(bias), observation + goal)), np.array(bias))
 
 
 def value_graph(

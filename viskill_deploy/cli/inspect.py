@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from viskill_deploy.bundle.format import Manifest, load_bundle
+from viskill_deploy.bundle.format import Bundle, Manifest, load_bundle
 from viskill_deploy.runtime.preflight import find_bundle, prepare
 
 SUBGOALS = {
@@ -27,11 +27,12 @@ def command(
 ) -> None:
     """Check a policy bundle and show what it holds."""
     folder = find_bundle(bundle)
-    manifest = load_bundle(folder).manifest
+    loaded = load_bundle(folder)
+    manifest = loaded.manifest
     if json_:
         print(json.dumps(manifest.model_dump(mode="json", by_alias=True)))
         return
-    _print(manifest, Console())
+    _print(loaded, Console())
     print(f"every file of {folder} is as exported")
     prepare(folder)
     print(f"it fits the cell {manifest.cell} of this installation")
@@ -43,7 +44,8 @@ def _value(manifest: Manifest) -> str:
     return f"read at every skill's start, low below {manifest.value.threshold:g}"
 
 
-def _print(manifest: Manifest, console: Console) -> None:
+def _print(bundle: Bundle, console: Console) -> None:
+    manifest = bundle.manifest
     facts = Table(title=manifest.name, title_justify="left", show_header=False)
     arms = ", ".join(f"{arm.name} ({arm.robot}, {arm.tool})" for arm in manifest.arms)
     for name, text in (
@@ -57,19 +59,20 @@ def _print(manifest: Manifest, console: Console) -> None:
         ("value", _value(manifest)),
     ):
         facts.add_row(name, text)
-    skills = Table(
-        "skill", "steps", "graph", "subgoal", "value", title="Skills", title_justify="left"
-    )
-    chaining = manifest.chaining.graphs if manifest.chaining else {}
-    values = manifest.value.graphs if manifest.value else {}
-    given = "scripted" if manifest.subgoals == "scripted" else "task"
+    skills = Table("skill", "steps", "subgoal", "value", title="Skills", title_justify="left")
+    given = "task" if bundle.chaining else manifest.subgoals
     for skill in manifest.skills:
-        subgoal, value = chaining.get(skill.name, given), values.get(skill.name, "–")
-        skills.add_row(skill.name, str(skill.budget), skill.file, subgoal, value)
+        source = "chaining" if skill.name in bundle.chaining else given
+        told = "told" if skill.name in bundle.values else "–"
+        skills.add_row(skill.name, str(skill.budget), source, told)
+    graphs = Table("graph", "takes", "gives", title="Graphs", title_justify="left")
+    for graph in (*bundle.skills.values(), *bundle.chaining.values(), *bundle.values.values()):
+        wants = ", ".join(f"{name} {width}" for name, width in graph.signature.inputs.items())
+        graphs.add_row(graph.path.name, wants, f"{graph.signature.output} {graph.signature.width}")
     measured = Table(
         "distribution", "mode", "episodes", "success", title="Measured", title_justify="left"
     )
     for row in manifest.measured:
         measured.add_row(row.distribution, row.mode, str(row.episodes), f"{row.success_rate:.2f}")
-    for table in (facts, skills, measured):
+    for table in (facts, skills, graphs, measured):
         console.print(table)

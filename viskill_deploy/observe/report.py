@@ -73,7 +73,7 @@ def write_report(
         episodes=list(result.get("episode_results") or ()),
         about=_about(result, cell, data),
         spoken=_spoken(data),
-        notes=_notes(result, video, data, trouble),
+        notes=_notes(result, shown, video, data, trouble),
         plots=_plots(data, cell),
         plotted=_episode_of(data),
         video=_embedded(video),
@@ -149,8 +149,15 @@ def _spoken(data: RunData | None) -> list[dict[str, Any]]:
     ]
 
 
-def _notes(result: Result, video: Video | None, data: RunData | None, trouble: str) -> list[str]:
+def _notes(
+    result: Result, shown: int | None, video: Video | None, data: RunData | None, trouble: str
+) -> list[str]:
+    """What a reader should know first, why the shown episode ended early included."""
     notes = [str(note) for note in result.get("notes") or ()]
+    for entry in result.get("episode_results") or ():
+        why = entry.get("reason") or entry.get("refused")
+        if why and entry.get("episode") == shown:
+            notes.append(f"episode {shown}: {why}")
     notes += [trouble] if trouble else []
     if video is not None and video.note:
         notes.append(video.note)

@@ -49,12 +49,11 @@ class SkillRow:
 
     @property
     def value(self) -> str:
-        """The value at its start, or median and lowest of several; a dash where nothing told it."""
+        """The value at its start, or lowest to highest; a dash where nothing told it."""
         if not self.values:
             return "–"
-        if len(self.values) == 1:
-            return f"{self.values[0]:.2f}"
-        return f"{statistics.median(self.values):.2f} (at least {min(self.values):.2f})"
+        ends = [f"{end:.2f}" for end in (min(self.values), max(self.values))]
+        return "–".join(dict.fromkeys(ends))
 
     @property
     def result(self) -> str:
@@ -73,7 +72,7 @@ class SkillRow:
     @property
     def steps(self) -> str:
         """Steps of one run, or median and largest of several."""
-        if self.runs == 1:
+        if self.steps_median == self.steps_max:
             return str(self.steps_max)
         return f"{self.steps_median:.0f} (at most {self.steps_max})"
 
