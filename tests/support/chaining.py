@@ -39,7 +39,7 @@ def affine_graph(
     bias: np.ndarray,
     squash: bool = False,
 ) -> bytes:
-    """A graph that answers `matrix` times all its inputs plus `bias`, through a sigmoid if asked."""
+    """A graph that answers `matrix` times its inputs plus `bias`, through a sigmoid if asked."""
     weights = {"w": matrix.astype(np.float32).T, "b": np.asarray(bias, dtype=np.float32)}
     nodes = [
         helper.make_node("Concat", [name for name, _ in sizes], ["x"], axis=1),

@@ -1,8 +1,8 @@
 """The policy bundle, version 1: a folder with `manifest.json`, ONNX graphs and a model card.
 
-`docs/bundle.md` says what the graphs take and give. Every file's SHA-256 stands in the manifest, and
-the manifest carries its own digest, so a changed byte anywhere is found. Graphs are loaded from the
-very bytes that were hashed. No pickle is read.
+`docs/bundle.md` says what the graphs take and give. Every file's SHA-256 stands in the manifest,
+and the manifest carries its own digest, so a changed byte anywhere is found. Graphs are loaded from
+the very bytes that were hashed. No pickle is read.
 """
 
 from __future__ import annotations

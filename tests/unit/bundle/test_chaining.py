@@ -212,7 +212,7 @@ def test_what_is_chosen_depends_on_the_goal(
 ) -> None:
     observation, scene = seen
     choose = ChosenSubgoals(load_bundle(chaining_bundle), TASK)
-    moved = Scene(0.0, scene.objects, scene.active, scene.goal + [0.01, 0.0, 0.0])
+    moved = Scene(0.0, scene.objects, scene.active, scene.goal + np.array([0.01, 0, 0]))
     here = choose("handover", observation, scene).subgoal
     there = choose("handover", observation, moved).subgoal
     np.testing.assert_allclose(there - here, [0, 0, 0, 0.003, 0, 0, 0, 0], atol=1e-7)
@@ -268,7 +268,7 @@ def test_a_value_that_is_no_probability_is_refused(
     chaining_bundle: Path, seen: tuple[np.ndarray, Scene], value: float
 ) -> None:
     replace_file(chaining_bundle, "value-grasp.onnx", value_graph(value))
-    with pytest.raises(MotionError, match="'grasp' is .* no probability"):
+    with pytest.raises(MotionError, match=r"'grasp' is .* no probability"):
         chain_of(load_bundle(chaining_bundle)).act(*seen)
 
 
