@@ -14,7 +14,7 @@ from viskill_deploy.bundle.chain import SkillChain
 from viskill_deploy.bundle.format import MANIFEST, Bundle, digest, load_bundle
 from viskill_deploy.bundle.subgoals import FAR_OUTSIDE_M, ChosenSubgoals, subgoal_source
 from viskill_deploy.core.errors import BundleError, MotionError
-from viskill_deploy.core.types import Scene
+from viskill_deploy.core.types import Scene, SkillStart
 from viskill_deploy.sim.closed_loop import ClosedLoop
 from viskill_deploy.sim.tasks.base import load_task
 
@@ -278,6 +278,14 @@ def test_a_value_at_the_edge_passes(
 ) -> None:
     replace_file(chaining_bundle, "value-grasp.onnx", value_graph(raw))
     assert chain_of(load_bundle(chaining_bundle)).act(*seen).start.value == told
+
+
+def test_what_was_decided_is_frozen_and_finite() -> None:
+    start = SkillStart("grasp", np.zeros(8), "chaining")
+    with pytest.raises(ValueError, match="read-only"):
+        start.subgoal[0] = 1.0
+    with pytest.raises(ValueError, match="not finite"):
+        SkillStart("grasp", np.full(8, NAN), "chaining")
 
 
 def test_a_graph_runs_rows_of_any_number(chaining_bundle: Path) -> None:
