@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import chaining
 import numpy as np
 import pytest
 from onnx import TensorProto, helper, numpy_helper
@@ -89,3 +90,15 @@ def untrained_bundle(tmp_path: Path) -> Path:
     (folder / "MODEL_CARD.md").write_text("# untrained\n", encoding="utf-8")
     write_manifest(folder, manifest_of(task))
     return folder
+
+
+@pytest.fixture
+def chaining_bundle(untrained_bundle: Path) -> Path:
+    """The same with a chaining policy and a value."""
+    return chaining.make_chaining(untrained_bundle)
+
+
+@pytest.fixture(scope="session")
+def chained_imitation(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A chaining bundle that does BiPegTransfer. Nobody changes it."""
+    return chaining.chained_imitation(tmp_path_factory.mktemp("chained") / "bundle")

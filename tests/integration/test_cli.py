@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from chaining import chain_graph, replace_file, value_graph
 
 from viskill_deploy.observe.reading import read_recording
 
@@ -100,6 +101,48 @@ def test_a_served_loopback_in_real_time_streams_setpoint_by_setpoint(
     assert causes <= {"S18", "S19", "S20", "S24"}
     assert run.returncode == (5 if causes else 0), run.stderr
     assert causes or result["success_rate"] == 1.0
+
+
+def test_a_chaining_bundle_runs_through_the_whole_line_and_tells_what_it_decided(
+    chained_imitation: Path, tmp_path: Path
+) -> None:
+    options = ("--episodes", 2, "--distribution", "wide", "--no-video", "--json")
+    run = viskill(
+        "dry-run", chained_imitation, *options, "--output", tmp_path / "run", cwd=tmp_path
+    )
+    result = figures(run)
+    assert result["success_rate"] == 1.0
+    assert result["interventions"] == 0
+    recording = read_recording(tmp_path / "run" / "recording", 1)
+    recorded = [mark for mark in recording.marks if mark.subgoal]
+    for told, mark in zip(result["episode_results"][1]["skills"], recorded, strict=True):
+        assert told["name"] == mark.skill
+        assert told["subgoal_source"] == mark.subgoal_source
+        assert tuple(told["subgoal"]) == mark.subgoal
+        assert told["value"] == mark.value
+    assert [mark.subgoal_source for mark in recorded] == ["chaining", "chaining", "task"]
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert "<h2>Subgoals</h2>" in page
+    assert "below the bundle's threshold" not in run.stderr
+
+
+def test_low_values_and_refused_subgoals_are_told_in_plain_words(
+    chained_imitation: Path, tmp_path: Path
+) -> None:
+    copy = shutil.copytree(chained_imitation, tmp_path / "lost")
+    replace_file(copy, "value-grasp.onnx", value_graph(0.25))
+    replace_file(copy, "chain-handover.onnx", chain_graph([0.0, 0.0, 0.3, 0.0, 0.0, 0.05]))
+    run = viskill("dry-run", copy, "--no-video", "--output", tmp_path / "run", cwd=tmp_path)
+    assert run.returncode == 5, run.stderr
+    assert "value 0.25 at the start of grasp is below the bundle's threshold 0.50" in run.stdout
+    assert "222.9 mm outside the workspace" in run.stdout
+    assert "value 0.25, 1 below the threshold" in run.stdout
+    assert "Traceback" not in run.stderr
+    plan = ("--mode", "plan", "--no-video", "--output", tmp_path / "plan")
+    run = viskill("dry-run", copy, *plan, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert "refused: 1" in run.stdout
+    assert "222.9 mm outside the workspace" in run.stdout
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -197,6 +240,20 @@ def test_inspect_and_doctor_speak_json(tmp_path: Path) -> None:
     health = figures(viskill("doctor", "--json", cwd=tmp_path))
     assert health["problems"] == []
     assert len(health["data_files"]) >= 54
+
+
+def test_inspect_shows_who_gives_subgoals_and_what_every_graph_takes(
+    chained_imitation: Path, tmp_path: Path
+) -> None:
+    run = viskill("inspect", chained_imitation, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    for text in ("chosen by the chaining policy", "low below 0.5", "chain-handover.onnx"):
+        assert text in run.stdout
+    assert "obs 35, task_goal 3, subgoal 8" in run.stdout
+    assert "subgoal 6" in run.stdout
+    run = viskill("inspect", BUNDLE, cwd=tmp_path)
+    assert "from the scripted plan" in run.stdout
+    assert "chain-" not in run.stdout
 
 
 def test_every_command_has_help_with_an_example(tmp_path: Path) -> None:

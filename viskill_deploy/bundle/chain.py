@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import numpy as np
+from viskill_deploy.bundle.format import Bundle
+from viskill_deploy.bundle.subgoals import SubgoalSource
+from viskill_deploy.core.errors import MotionError
+from viskill_deploy.core.types import FloatArray, Scene, SkillStart
 
-from viskill_deploy.bundle.format import ORT_ERRORS, Bundle
-from viskill_deploy.core.errors import BundleError
-from viskill_deploy.core.types import FloatArray
-
-SubgoalSource = Callable[[str, FloatArray], FloatArray]
-"""(skill's name, observation at its start) → subgoal in the task frame."""
+ROUNDING = 1e-6
+"""A float32 probability may miss [0, 1] by this much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,22 +18,25 @@ class Choice:
     """What the chain wants in one policy step.
 
     Attributes:
-        skill: name of the running skill.
+        start: what was decided at the running skill's first step.
         step: policy steps that it has taken before this one.
         action: five numbers an arm in [-1, 1].
-        subgoal: what the skill was told to reach.
         may_open_jaw: per arm.
     """
 
-    skill: str
+    start: SkillStart
     step: int
     action: FloatArray
-    subgoal: FloatArray
     may_open_jaw: tuple[bool, ...]
+
+    @property
+    def skill(self) -> str:
+        """Name of the running skill."""
+        return self.start.skill
 
 
 class SkillChain:
-    """The policy of a bundle: skills in order, a subgoal for each at its first step.
+    """The policy of a bundle: skills in order, a subgoal and a value for each at its first step.
 
     Args:
         bundle: a loaded bundle.
@@ -45,7 +46,7 @@ class SkillChain:
     def __init__(self, bundle: Bundle, subgoals: SubgoalSource) -> None:
         self._bundle, self._subgoals = bundle, subgoals
         self._skill, self._step = 0, 0
-        self._goal: FloatArray | None = None
+        self._start: SkillStart | None = None
 
     @property
     def finished(self) -> bool:
@@ -62,23 +63,35 @@ class SkillChain:
         """Policy steps of the whole chain."""
         return sum(skill.budget for skill in self._bundle.manifest.skills)
 
-    def act(self, observation: FloatArray) -> Choice:
-        """The next action, and one step of the running skill's budget."""
+    def act(self, observation: FloatArray, scene: Scene) -> Choice:
+        """The next action, and one step of the running skill's budget.
+
+        Args:
+            observation: what the policy sees now.
+            scene: what it was made from; looked at in a skill's first step alone.
+
+        Raises:
+            BundleError: a graph cannot run.
+            MotionError: a subgoal or a value makes no sense.
+        """
         entry = self._bundle.manifest.skills[self._skill]
-        if self._goal is None:
-            self._goal = np.asarray(self._subgoals(entry.name, observation), dtype=np.float64)
-        feed = {
-            "obs": observation[None].astype(np.float32),
-            "goal": self._goal[None].astype(np.float32),
-        }
-        try:
-            (action,) = self._bundle.sessions[entry.name].run(["action"], feed)
-        except ORT_ERRORS as error:
-            raise BundleError(self._bundle.path / entry.file, f"cannot run: {error}") from error
-        choice = Choice(
-            entry.name, self._step, action[0].astype(np.float64), self._goal, entry.may_open_jaw
-        )
+        if self._start is None:
+            self._start = self._begin(entry.name, observation, scene)
+        action = self._bundle.skills[entry.name](observation, self._start.subgoal)
+        choice = Choice(self._start, self._step, action, entry.may_open_jaw)
         self._step += 1
         if self._step == entry.budget:
-            self._skill, self._step, self._goal = self._skill + 1, 0, None
+            self._skill, self._step, self._start = self._skill + 1, 0, None
         return choice
+
+    def _begin(self, skill: str, observation: FloatArray, scene: Scene) -> SkillStart:
+        start = self._subgoals(skill, observation, scene)
+        if skill not in self._bundle.values:
+            return start
+        (value,) = self._bundle.values[skill](observation, scene.goal, start.subgoal).tolist()
+        if not -ROUNDING <= value <= 1.0 + ROUNDING:
+            raise MotionError(
+                f"the value at the start of {skill!r} is {value:.4g}, no probability; look at the "
+                "observation, or train the value again"
+            )
+        return replace(start, value=min(max(value, 0.0), 1.0))

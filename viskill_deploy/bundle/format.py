@@ -1,21 +1,23 @@
 """The policy bundle, version 1: a folder with `manifest.json`, ONNX graphs and a model card.
 
-Every file's SHA-256 stands in the manifest, and the manifest carries its own digest, so a changed
-byte anywhere is found. Graphs are loaded from the very bytes that were hashed. No pickle is read.
+`docs/bundle.md` says what the graphs take and give. Every file's SHA-256 stands in the manifest,
+and the manifest carries its own digest, so a changed byte anywhere is found. Graphs are loaded from
+the very bytes that were hashed. No pickle is read.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import onnxruntime
-from onnxruntime.capi import onnxruntime_pybind11_state as ort_errors
 from pydantic import Field, ValidationError
 
+from viskill_deploy.bundle.graphs import Graph, Signature, open_graph
 from viskill_deploy.core.cell_files import Rotation
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import BundleError
@@ -25,18 +27,26 @@ from viskill_deploy.motion.waypoints import PITCH_UNIT_RAD, ActionSpec
 MANIFEST = "manifest.json"
 MAX_FILE_BYTES = 64 * 2**20
 
-ORT_ERRORS: tuple[type[Exception], ...] = (
-    ort_errors.Fail,
-    ort_errors.InvalidArgument,
-    ort_errors.InvalidGraph,
-    ort_errors.InvalidProtobuf,
-    ort_errors.NoSuchFile,
-    ort_errors.NotImplemented,
-    ort_errors.RuntimeException,
-    RuntimeError,
-    ValueError,
-)
-"""ONNX Runtime's errors share no base class."""
+TASK_GOAL_SIZE = 3
+"""Length of the task's goal as graphs see it: the point in `Scene.goal`, m."""
+
+CHOSEN_SIZE = 6
+"""Numbers that a chaining policy chooses: the two positions that lead every subgoal, m."""
+
+
+def skill_file(skill: str) -> str:
+    """Name of a skill's graph in a bundle."""
+    return f"skill-{skill}.onnx"
+
+
+def chain_file(skill: str) -> str:
+    """Name of the graph that chooses a skill's subgoal."""
+    return f"chain-{skill}.onnx"
+
+
+def value_file(skill: str) -> str:
+    """Name of the graph that tells how likely success is at a skill's start."""
+    return f"value-{skill}.onnx"
 
 
 class ArmEntry(Table):
@@ -58,6 +68,11 @@ class ActionEntry(Table):
     pitch_rad: Positive = PITCH_UNIT_RAD
     jaw: Literal["binary"]
     jaw_open_rad: Positive
+
+    @classmethod
+    def of(cls, spec: ActionSpec) -> ActionEntry:
+        """The entry of a task's actions."""
+        return cls(**dataclasses.asdict(spec), jaw="binary")
 
     def spec(self) -> ActionSpec:
         """The same for `motion.waypoints.apply_action`."""
@@ -86,6 +101,19 @@ class SkillEntry(Table):
     file: str
     budget: int = Field(gt=0)
     may_open_jaw: tuple[bool, ...]
+
+
+class ChainingEntry(Table):
+    """The chaining policy: its graph for every skill but the last, by the skill's name."""
+
+    graphs: dict[str, str]
+
+
+class ValueEntry(Table):
+    """The value at every skill's start: graphs by the skill's name, and what counts as low."""
+
+    graphs: dict[str, str]
+    threshold: float = Field(ge=0, le=1)
 
 
 class TrainingRange(Table):
@@ -123,9 +151,9 @@ class Manifest(Table):
     observation: tuple[LayoutEntry, ...]
     goal: tuple[LayoutEntry, ...]
     skills: tuple[SkillEntry, ...] = Field(min_length=1)
-    subgoals: Literal["scripted"]
-    chaining: None = None
-    value: None = None
+    subgoals: Literal["scripted", "chaining"]
+    chaining: ChainingEntry | None = None
+    value: ValueEntry | None = None
     training_range: TrainingRange
     seeds: tuple[int, ...]
     measured: tuple[Measured, ...]
@@ -150,12 +178,18 @@ class Bundle:
     Attributes:
         path: its folder.
         manifest: what it says.
-        sessions: ONNX Runtime session of every skill, by skill name; one thread each.
+        skills: (observation, subgoal) → action, by skill name.
+        chaining: (observation, task's goal) → positions, by the name of the skill that they are
+            for; empty when the scripted plan gives the subgoals.
+        values: (observation, task's goal, subgoal) → P(the whole task succeeds), by skill name;
+            empty when the bundle tells none.
     """
 
     path: Path
     manifest: Manifest
-    sessions: dict[str, onnxruntime.InferenceSession]
+    skills: dict[str, Graph]
+    chaining: dict[str, Graph]
+    values: dict[str, Graph]
 
 
 def digest(content: dict[str, Any]) -> str:
@@ -192,11 +226,31 @@ def load_bundle(path: Path | str) -> Bundle:
     folder = Path(path)
     manifest = read_manifest(folder)
     contents = _checked_files(folder, manifest)
-    sessions = {
-        skill.name: _session(folder / skill.file, contents, skill.file, manifest)
-        for skill in manifest.skills
-    }
-    return Bundle(folder, manifest, sessions)
+    obs, goal = {"obs": manifest.observation_size}, manifest.goal_size
+    seen = obs | {"task_goal": TASK_GOAL_SIZE}
+
+    def opened(graphs: dict[str, str], signature: Signature) -> dict[str, Graph]:
+        return {
+            skill: open_graph(folder / file, _listed(folder, contents, file), signature)
+            for skill, file in graphs.items()
+        }
+
+    return Bundle(
+        folder,
+        manifest,
+        opened(
+            {skill.name: skill.file for skill in manifest.skills},
+            Signature(obs | {"goal": goal}, "action", 5 * len(manifest.arms)),
+        ),
+        opened(
+            manifest.chaining.graphs if manifest.chaining else {},
+            Signature(seen, "subgoal", CHOSEN_SIZE),
+        ),
+        opened(
+            manifest.value.graphs if manifest.value else {},
+            Signature(seen | {"subgoal": goal}, "value", 1),
+        ),
+    )
 
 
 def read_manifest(folder: Path) -> Manifest:
@@ -262,6 +316,30 @@ def _check_sizes(path: Path, manifest: Manifest) -> None:
             raise BundleError(path, f"skill {skill.name}: may_open_jaw needs one entry an arm")
     if len({skill.name for skill in manifest.skills}) != len(manifest.skills):
         raise BundleError(path, "two skills share a name; rename one and export again")
+    _check_graphs(path, manifest)
+
+
+def _check_graphs(path: Path, manifest: Manifest) -> None:
+    """Holds the chaining policy's and the value's tables against the skills."""
+    names = [skill.name for skill in manifest.skills]
+    if (manifest.subgoals == "chaining") != (manifest.chaining is not None):
+        raise BundleError(path, 'subgoals: "chaining" and a chaining table need each other')
+    if manifest.chaining is not None:
+        _check_names(path, "chaining", manifest.chaining.graphs, names[:-1], chain_file)
+        if manifest.goal_size < CHOSEN_SIZE:
+            raise BundleError(path, f"goal: chaining needs the {CHOSEN_SIZE} numbers of positions")
+    if manifest.value is not None:
+        _check_names(path, "value", manifest.value.graphs, names, value_file)
+
+
+def _check_names(
+    path: Path, table: str, graphs: dict[str, str], skills: list[str], name: Callable[[str], str]
+) -> None:
+    expected = {skill: name(skill) for skill in skills}
+    if graphs != expected:
+        raise BundleError(
+            path, f"{table}.graphs is {graphs}, has to be {expected}; export the bundle again"
+        )
 
 
 def _checked_files(folder: Path, manifest: Manifest) -> dict[str, bytes]:
@@ -283,30 +361,9 @@ def _checked_files(folder: Path, manifest: Manifest) -> dict[str, bytes]:
     return contents
 
 
-def _session(
-    path: Path, contents: dict[str, bytes], name: str, manifest: Manifest
-) -> onnxruntime.InferenceSession:
+def _listed(folder: Path, contents: dict[str, bytes], name: str) -> bytes:
     if name not in contents:
-        raise BundleError(path, "is named by a skill but not listed in files; export again")
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    try:
-        session = onnxruntime.InferenceSession(
-            contents[name], options, providers=["CPUExecutionProvider"]
+        raise BundleError(
+            folder / name, "is named but not listed in the manifest's files; export again"
         )
-    except ORT_ERRORS as error:
-        raise BundleError(path, f"is no usable ONNX graph ({error}); export it again") from error
-    wanted_inputs = {"obs": manifest.observation_size, "goal": manifest.goal_size}
-    wanted_outputs = {"action": 5 * len(manifest.arms)}
-    for wanted, nodes in (
-        (wanted_inputs, session.get_inputs()),
-        (wanted_outputs, session.get_outputs()),
-    ):
-        found = {node.name: (node.type, len(node.shape), *node.shape[-1:]) for node in nodes}
-        expected = {key: ("tensor(float)", 2, size) for key, size in wanted.items()}
-        if found != expected:
-            raise BundleError(
-                path, f"has {found}, the manifest says {expected}; export the bundle again"
-            )
-    return session
+    return contents[name]

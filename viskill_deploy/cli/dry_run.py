@@ -18,6 +18,7 @@ from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.errors import RecordingError, SafetyStop, ViskillError
 from viskill_deploy.observe.recording import Recorder
 from viskill_deploy.observe.report import write_report
+from viskill_deploy.observe.starts import remarks
 from viskill_deploy.observe.tables import print_tables, progress
 from viskill_deploy.observe.video import Video, render_video
 from viskill_deploy.runtime.dry_run import DryRunOptions, dry_run
@@ -142,6 +143,8 @@ def _run(
 ) -> tuple[dict[str, Any], ViskillError | None]:
     """The run's figures, and what ended it early; both are kept when the recorder fails."""
     succeeded = 0
+    value = prepared.bundle.manifest.value
+    threshold = value.threshold if value else None
     recorder = Recorder(folder / "recording", prepared.cell, options.world.period_s)
     with progress(options.episodes, console) as advance:
 
@@ -149,6 +152,8 @@ def _run(
             nonlocal succeeded
             succeeded += result.success
             advance(succeeded)
+            for remark in remarks(result, threshold):
+                say(remark)
 
         def say(note: str) -> None:
             console.print(f"note: {note}", markup=False, style="yellow", soft_wrap=True)

@@ -10,8 +10,13 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from viskill_deploy.bundle.format import Manifest, load_bundle
+from viskill_deploy.bundle.format import Bundle, Manifest, load_bundle
 from viskill_deploy.runtime.preflight import find_bundle, prepare
+
+SUBGOALS = {
+    "scripted": "from the scripted plan",
+    "chaining": "chosen by the chaining policy; the last skill's by the task",
+}
 
 EXAMPLE = "Example: viskill inspect policies/bipegtransfer-imitation"
 
@@ -22,17 +27,25 @@ def command(
 ) -> None:
     """Check a policy bundle and show what it holds."""
     folder = find_bundle(bundle)
-    manifest = load_bundle(folder).manifest
+    loaded = load_bundle(folder)
+    manifest = loaded.manifest
     if json_:
         print(json.dumps(manifest.model_dump(mode="json", by_alias=True)))
         return
-    _print(manifest, Console())
+    _print(loaded, Console())
     print(f"every file of {folder} is as exported")
     prepare(folder)
     print(f"it fits the cell {manifest.cell} of this installation")
 
 
-def _print(manifest: Manifest, console: Console) -> None:
+def _value(manifest: Manifest) -> str:
+    if manifest.value is None:
+        return "none"
+    return f"read at every skill's start, low below {manifest.value.threshold:g}"
+
+
+def _print(bundle: Bundle, console: Console) -> None:
+    manifest = bundle.manifest
     facts = Table(title=manifest.name, title_justify="left", show_header=False)
     arms = ", ".join(f"{arm.name} ({arm.robot}, {arm.tool})" for arm in manifest.arms)
     for name, text in (
@@ -42,16 +55,24 @@ def _print(manifest: Manifest, console: Console) -> None:
         ("arms", arms),
         ("policy step", f"{manifest.step_s} s"),
         ("observation", f"{manifest.observation_size} numbers"),
-        ("subgoals", f"{manifest.goal_size} numbers, {manifest.subgoals}"),
+        ("subgoals", f"{manifest.goal_size} numbers, {SUBGOALS[manifest.subgoals]}"),
+        ("value", _value(manifest)),
     ):
         facts.add_row(name, text)
-    skills = Table("skill", "steps", "graph", title="Skills", title_justify="left")
+    skills = Table("skill", "steps", "subgoal", "value", title="Skills", title_justify="left")
+    given = "task" if bundle.chaining else manifest.subgoals
     for skill in manifest.skills:
-        skills.add_row(skill.name, str(skill.budget), skill.file)
+        source = "chaining" if skill.name in bundle.chaining else given
+        told = "told" if skill.name in bundle.values else "–"
+        skills.add_row(skill.name, str(skill.budget), source, told)
+    graphs = Table("graph", "takes", "gives", title="Graphs", title_justify="left")
+    for graph in (*bundle.skills.values(), *bundle.chaining.values(), *bundle.values.values()):
+        wants = ", ".join(f"{name} {width}" for name, width in graph.signature.inputs.items())
+        graphs.add_row(graph.path.name, wants, f"{graph.signature.output} {graph.signature.width}")
     measured = Table(
         "distribution", "mode", "episodes", "success", title="Measured", title_justify="left"
     )
     for row in manifest.measured:
         measured.add_row(row.distribution, row.mode, str(row.episodes), f"{row.success_rate:.2f}")
-    for table in (facts, skills, measured):
+    for table in (facts, skills, graphs, measured):
         console.print(table)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -232,6 +233,28 @@ class ActiveObject:
     T_task_object: FloatArray
     speed_m_s: float
     touched: tuple[bool, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SkillStart:
+    """What was decided at the first step of a skill.
+
+    Attributes:
+        skill: its name.
+        subgoal: what it has to reach, laid out as its task says; m, task frame; (n,).
+        source: who gave the subgoal: the "scripted" plan, the "chaining" policy, or the "task",
+            which gives the last skill's.
+        value: probability, as seen then, that the whole task succeeds; None when nothing tells it.
+    """
+
+    skill: str
+    subgoal: FloatArray
+    source: Literal["scripted", "chaining", "task"]
+    value: float | None = None
+
+    def __post_init__(self) -> None:
+        subgoal = frozen_array(self.subgoal, np.shape(self.subgoal), "subgoal")
+        object.__setattr__(self, "subgoal", subgoal)
 
 
 @dataclass(frozen=True, slots=True)

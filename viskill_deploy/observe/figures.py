@@ -25,6 +25,7 @@ from viskill_deploy.observe.records import RunData, Track, VerdictRow
 ARM_COLOURS = ("#2563eb", "#ea580c", "#059669", "#7c3aed")
 BLOCK_COLOUR = "#94a3b8"
 LIMIT_COLOUR = "#dc2626"
+SUBGOAL_COLOUR = "#0f172a"
 ACTION_COLOURS = {
     Action.WARN: "#facc15",
     Action.SCALE: "#f59e0b",
@@ -89,7 +90,7 @@ def path_figure(data: RunData, cell: CellDescription) -> Figure:
         moved = np.ptp(track.position, axis=0).max() if len(track.position) else 0.0
         if topic.startswith("/scene/") and moved > 1e-3:
             traces += _path(track.position, topic.removeprefix("/scene/"), BLOCK_COLOUR, 6)
-    traces += _pegs(cell)
+    traces += [*_pegs(cell), *_subgoals(data)]
     wall: Figure = {"backgroundcolor": "#f8fafc", "gridcolor": "#e2e8f0", "showbackground": True}
     wall["zerolinecolor"] = "#cbd5e1"
     scene: Figure = {
@@ -124,6 +125,18 @@ def _pegs(cell: CellDescription) -> list[Figure]:
         z += [0.0, 1e3 * board.peg_height_m, None]
     peg: Figure = {"type": "scatter3d", "mode": "lines", "x": x, "y": y, "z": z, "name": "pegs"}
     return [{**peg, "line": {"color": "#475569", "width": 5}, "hoverinfo": "skip"}]
+
+
+def _subgoals(data: RunData) -> list[Figure]:
+    """The two positions that lead every subgoal; hovering tells the skill."""
+    told = [mark for mark in data.marks if mark.subgoal]
+    if not told:
+        return []
+    points = [(mark.skill, mark.subgoal[at : at + 3]) for mark in told for at in (0, 3)]
+    x, y, z = ([round(1e3 * point[axis], 3) for _, point in points] for axis in range(3))
+    marks: Figure = {"type": "scatter3d", "mode": "markers", "x": x, "y": y, "z": z}
+    marks |= {"name": "subgoals", "text": [f"{skill}, subgoal" for skill, _ in points]}
+    return [{**marks, "marker": {"symbol": "diamond-open", "color": SUBGOAL_COLOUR, "size": 5}}]
 
 
 def remote_centre_figure(data: RunData, cell: CellDescription) -> Figure:

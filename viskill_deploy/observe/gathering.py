@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -47,7 +48,8 @@ class Gathered:
                 self._runs.setdefault(run.topic, []).append(run)
 
     def _mark(self, log: int, message: bytes) -> None:
-        mark = Mark(time_s=0.0, **json.loads(_string(message, 0)[0]))
+        told = json.loads(_string(message, 0)[0])
+        mark = Mark(time_s=0.0, **told | {"subgoal": tuple(told.get("subgoal", ()))})
         if mark.episode not in self.episodes:
             self.episodes.append(mark.episode)
         if self._episode in {None, mark.episode}:
@@ -81,7 +83,7 @@ class Gathered:
     def marks(self, origin: int) -> tuple[Mark, ...]:
         """Marks in order of time."""
         return tuple(
-            Mark((log - origin) * 1e-9, mark.episode, mark.skill, mark.step, mark.note)
+            replace(mark, time_s=(log - origin) * 1e-9)
             for log, mark in sorted(self._marks, key=lambda entry: entry[0])
         )
 

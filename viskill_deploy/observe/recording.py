@@ -18,7 +18,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from viskill_deploy.core.types import (
     Mode,
     Request,
     Scene,
+    SkillStart,
     Verdict,
 )
 from viskill_deploy.observe import frames
@@ -153,11 +154,25 @@ class Recorder:
             payload = frames.POSE.pack(scene.stamp_s, pose.tobytes())
             self._send(Kind.POSE, payload + name.encode())
 
-    def mark(self, now: float, episode: int, skill: str, step: int, note: str = "") -> None:
-        """Records where the run stands: episode, skill, policy step, and a remark."""
+    def mark(
+        self,
+        now: float,
+        episode: int,
+        skill: str,
+        step: int,
+        note: str = "",
+        start: SkillStart | None = None,
+    ) -> None:
+        """Records where the run stands: episode, skill, policy step, and a remark.
+
+        With a skill's first step also what was decided there, `start`.
+        """
         self._begin(now)
-        text = json.dumps({"episode": episode, "skill": skill, "step": step, "note": note})
-        self._send(Kind.SKILL, frames.TEXT.pack(now) + text.encode())
+        told: dict[str, Any] = {"episode": episode, "skill": skill, "step": step, "note": note}
+        if start is not None:
+            told |= {"subgoal": start.subgoal.tolist(), "subgoal_source": start.source}
+            told["value"] = start.value
+        self._send(Kind.SKILL, frames.TEXT.pack(now) + json.dumps(told).encode())
 
     def close(self) -> None:
         """Waits until the bag is complete.

@@ -54,13 +54,22 @@ class VerdictRow:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """One mark in the run."""
+    """One mark in the run.
+
+    Attributes:
+        subgoal: what the skill was told to reach, with its first step; () with others.
+        subgoal_source: who gave it.
+        value: P(the whole task succeeds) as seen then; None where nothing told it.
+    """
 
     time_s: float
     episode: int
     skill: str
     step: int
     note: str
+    subgoal: tuple[float, ...] = ()
+    subgoal_source: str = ""
+    value: float | None = None
 
 
 @dataclass(frozen=True)

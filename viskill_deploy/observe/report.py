@@ -18,11 +18,15 @@ from viskill_deploy.observe import figures
 from viskill_deploy.observe.labels import action_label, rule_label
 from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.observe.records import RunData
-from viskill_deploy.observe.summary import Result, facts, margin_rows, outcome, skill_rows
+from viskill_deploy.observe.starts import Result, start_rows
+from viskill_deploy.observe.summary import facts, margin_rows, outcome, skill_rows
 from viskill_deploy.observe.video import Video
 
 PLOTS = {
-    "paths": ("Tip paths", "Task frame, origin at the centre of the board. Dots mark the start."),
+    "paths": (
+        "Tip paths",
+        "Task frame, origin at the centre of the board. Dots mark the start, diamonds subgoals.",
+    ),
     "verdicts": ("Verdicts of the gate", "What each rule said, cycle by cycle, under the skills."),
     "joints": ("Joints against limits", "Measured; dotted lines are the arm's limits."),
     "tracking": ("Tracking error", "Setpoint less measured; shading changes with the skill."),
@@ -58,15 +62,18 @@ def write_report(
     """
     data, trouble = _plotted(recording, result, episode)
     page = _environment().get_template("report.html.j2")
+    shown = _shown(result, episode)
     html = page.render(
         result=result,
         facts=facts(result),
         skills=skill_rows(result),
+        starts=start_rows(result, shown),
+        shown=shown,
         margins=margin_rows(result),
         episodes=list(result.get("episode_results") or ()),
         about=_about(result, cell, data),
         spoken=_spoken(data),
-        notes=_notes(result, video, data, trouble),
+        notes=_notes(result, shown, video, data, trouble),
         plots=_plots(data, cell),
         plotted=_episode_of(data),
         video=_embedded(video),
@@ -82,16 +89,19 @@ def _plotted(
     """The episode to plot, and why there is none ("" when there is, or none is asked for)."""
     if recording is None:
         return None, ""
-    known = [e["episode"] for e in result.get("episode_results") or () if "episode" in e]
-    if episode is None and known:
-        episode = known[0]
     try:
-        data = read_recording(recording, episode)
+        data = read_recording(recording, _shown(result, episode))
     except RecordingError as error:
         return None, f"no plots: {error}"
     if not data.duration_s:
         return None, f"no plots: {recording} holds no motion"
     return data, ""
+
+
+def _shown(result: Result, episode: int | None) -> int | None:
+    """The episode to show: the one asked for, or the first that the result knows."""
+    known = [e["episode"] for e in result.get("episode_results") or () if "episode" in e]
+    return known[0] if episode is None and known else episode
 
 
 def _episode_of(data: RunData | None) -> int | None:
@@ -139,8 +149,15 @@ def _spoken(data: RunData | None) -> list[dict[str, Any]]:
     ]
 
 
-def _notes(result: Result, video: Video | None, data: RunData | None, trouble: str) -> list[str]:
+def _notes(
+    result: Result, shown: int | None, video: Video | None, data: RunData | None, trouble: str
+) -> list[str]:
+    """What a reader should know first, why the shown episode ended early included."""
     notes = [str(note) for note in result.get("notes") or ()]
+    for entry in result.get("episode_results") or ():
+        why = entry.get("reason") or entry.get("refused")
+        if why and entry.get("episode") == shown:
+            notes.append(f"episode {shown}: {why}")
     notes += [trouble] if trouble else []
     if video is not None and video.note:
         notes.append(video.note)

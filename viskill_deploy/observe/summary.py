@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from viskill_deploy.observe.labels import rule_label
-
-Result = Mapping[str, Any]
+from viskill_deploy.observe.starts import Result, is_low
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +31,9 @@ class SkillRow:
         runs: how often it ran; judged: how often somebody could tell whether it succeeded.
         steps_median: policy steps of a run; steps_max: of the longest.
         stretch_max: largest time of a step over the time that the policy meant.
+        source: who gave its subgoals; "" where nobody says.
+        values: P(the whole task succeeds) as seen at its start, of every run where that was told.
+        values_low: how many of them lie below the bundle's threshold.
     """
 
     name: str
@@ -41,6 +43,17 @@ class SkillRow:
     steps_median: float
     steps_max: int
     stretch_max: float | None
+    source: str = ""
+    values: tuple[float, ...] = ()
+    values_low: int = 0
+
+    @property
+    def value(self) -> str:
+        """The value at its start, or lowest to highest; a dash where nothing told it."""
+        if not self.values:
+            return "–"
+        ends = [f"{end:.2f}" for end in (min(self.values), max(self.values))]
+        return "–".join(dict.fromkeys(ends))
 
     @property
     def result(self) -> str:
@@ -59,7 +72,7 @@ class SkillRow:
     @property
     def steps(self) -> str:
         """Steps of one run, or median and largest of several."""
-        if self.runs == 1:
+        if self.steps_median == self.steps_max:
             return str(self.steps_max)
         return f"{self.steps_median:.0f} (at most {self.steps_max})"
 
@@ -122,12 +135,14 @@ def skill_rows(result: Result, episode: int | None = None) -> list[SkillRow]:
         if episode in {None, outcome.get("episode")}:
             for skill in outcome.get("skills") or ():
                 entries.setdefault(str(skill.get("name", "")), []).append(skill)
-    return [_skill_row(name, runs) for name, runs in entries.items()]
+    threshold = result.get("value_threshold")
+    return [_skill_row(name, runs, threshold) for name, runs in entries.items()]
 
 
-def _skill_row(name: str, runs: Sequence[Mapping[str, Any]]) -> SkillRow:
+def _skill_row(name: str, runs: Sequence[Mapping[str, Any]], threshold: float | None) -> SkillRow:
     steps = [int(run.get("steps", 0)) for run in runs]
     stretches = [float(run["stretch_max"]) for run in runs if run.get("stretch_max") is not None]
+    values = tuple(float(run["value"]) for run in runs if run.get("value") is not None)
     return SkillRow(
         name=name,
         runs=len(runs),
@@ -136,6 +151,9 @@ def _skill_row(name: str, runs: Sequence[Mapping[str, Any]]) -> SkillRow:
         steps_median=statistics.median(steps),
         steps_max=max(steps),
         stretch_max=max(stretches, default=None),
+        source=str(runs[0].get("subgoal_source", "")),
+        values=values,
+        values_low=sum(is_low(value, threshold) for value in values),
     )
 
 

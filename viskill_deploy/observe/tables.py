@@ -12,8 +12,10 @@ from typing import Protocol
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
-from viskill_deploy.observe.summary import Result, facts, margin_rows, skill_rows
+from viskill_deploy.observe.starts import Result
+from viskill_deploy.observe.summary import SkillRow, facts, margin_rows, skill_rows
 
 
 class Advance(Protocol):
@@ -45,12 +47,20 @@ def plain_lines(result: Result) -> Iterator[str]:
     for fact in facts(result):
         yield f"{fact.name.lower()}: {fact.text}"
     for skill in skill_rows(result):
-        yield f"skill {skill.name}: {skill.steps} steps, {skill.result}, stretch {skill.stretch}"
+        yield _skill_line(skill)
     for margin in margin_rows(result):
         where = f" at {margin.where}" if margin.where else ""
         yield f"smallest margin to {margin.label}: {margin.text}{where}"
     for note in result.get("notes") or ():
         yield f"note: {note}"
+
+
+def _skill_line(skill: SkillRow) -> str:
+    source = f", subgoal {skill.source}" if skill.source else ""
+    value = f", value {skill.value}" if skill.values else ""
+    low = f", {skill.values_low} below the threshold" if skill.values_low else ""
+    steps = f"skill {skill.name}: {skill.steps} steps, {skill.result}{source}{value}{low}"
+    return f"{steps}, stretch {skill.stretch}"
 
 
 def _title(result: Result) -> str:
@@ -73,11 +83,13 @@ def _fact_table(result: Result) -> Table:
 def _skill_table(result: Result) -> Table:
     table = Table(title="Skills", title_justify="left")
     table.add_column("skill", style="bold")
-    for name in ("steps", "result", "stretch"):
+    for name in ("steps", "result", "subgoal", "value", "stretch"):
         table.add_column(name, justify="right")
     for row in skill_rows(result):
         style = "" if row.good else "red"
-        table.add_row(row.name, row.steps, row.result, row.stretch, style=style)
+        value = Text(row.value, style="yellow" if row.values_low else "")
+        source = row.source or "–"
+        table.add_row(row.name, row.steps, row.result, source, value, row.stretch, style=style)
     return table
 
 

@@ -10,11 +10,12 @@ import numpy as np
 
 from viskill_deploy.bundle.chain import Choice, SkillChain
 from viskill_deploy.bundle.format import Bundle
+from viskill_deploy.bundle.subgoals import subgoal_source
 from viskill_deploy.core.errors import DriverError, ViskillError
-from viskill_deploy.core.types import CellState, FloatArray, Scene, Waypoint
+from viskill_deploy.core.types import CellState, FloatArray, Scene, SkillStart, Waypoint
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.motion.waypoints import apply_action
-from viskill_deploy.runtime.ledger import EpisodeResult
+from viskill_deploy.runtime.ledger import EpisodeResult, SkillResult
 from viskill_deploy.runtime.planning import Plan, make_plan
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.runtime.thinking import decide
@@ -47,8 +48,7 @@ def closed_loop(
     session.make_ready()
     session.begin()
     seen = _look(session, task)
-    subgoals = task.subgoals(seen.observation, seen.scene, rng)
-    chain = SkillChain(job.bundle, lambda skill, _: subgoals[skill])
+    chain = SkillChain(job.bundle, subgoal_source(job.bundle, task, rng))
     waypoint = waypoint_at(session.cell, axes_of(seen.state))
     session.recorder.mark(session.driver.clock.now(), episode, "", 0, seen.scene.active)
     while not chain.finished:
@@ -64,7 +64,7 @@ def closed_loop(
             session.come_to_rest(result)
             return result
         if chain.between_skills:
-            _judge_skill(session, task, result, subgoals[waypoint.skill])
+            _judge_skill(session, task, result)
     session.finish()
     result.stopped_by = session.cause
     result.success = _judge(session, task)
@@ -82,7 +82,7 @@ class _Step:
 
 def _next_step(job: Job, chain: SkillChain, seen: _Seen, last: Waypoint) -> _Step:
     """Asks the policy and works out the waypoint that it wants; touches nothing of the session."""
-    choice = chain.act(seen.observation)
+    choice = chain.act(seen.observation, seen.scene)
     waypoint = apply_action(
         last,
         choice.action,
@@ -97,11 +97,19 @@ def _next_step(job: Job, chain: SkillChain, seen: _Seen, last: Waypoint) -> _Ste
 
 def _begin_step(session: Session, step: _Step, result: EpisodeResult) -> None:
     choice = step.choice
+    skill = _note_step(session, result, choice.start, choice.step)
+    skill.stretch_max = max(skill.stretch_max, session.go_to(step.waypoint, last=step.is_last))
+
+
+def _note_step(
+    session: Session, result: EpisodeResult, start: SkillStart, step: int
+) -> SkillResult:
+    """Records a policy step; with a skill's first, what was decided there."""
+    skill, begins = result.skill(start)
     now = session.driver.clock.now()
-    session.recorder.mark(now, result.episode, choice.skill, choice.step)
-    stretch = session.go_to(step.waypoint, last=step.is_last)
-    skill = result.skill(choice.skill)
-    skill.steps, skill.stretch_max = choice.step + 1, max(skill.stretch_max, stretch)
+    session.recorder.mark(now, result.episode, start.skill, step, start=start if begins else None)
+    skill.steps = step + 1
+    return skill
 
 
 def planned(
@@ -130,7 +138,7 @@ def planned(
             return result
     session.finish()
     result.stopped_by = session.cause
-    _judge_skill(session, job.task, result, plan.subgoals[plan.waypoints[-1].skill])
+    _judge_skill(session, job.task, result)
     result.success = _judge(session, job.task)
     return result
 
@@ -155,24 +163,23 @@ def _pass_waypoint(
     """Notes that the plan is on its way to the waypoint `ahead`; judges a skill that has ended."""
     name, before = plan.waypoints[ahead].skill, plan.waypoints[passed].skill
     if before and name != before:
-        _judge_skill(session, task, result, plan.subgoals[before])
-    step, skill = ahead - plan.first_of(name), result.skill(name)
+        _judge_skill(session, task, result)
+    skill = _note_step(session, result, plan.starts[name], ahead - plan.first_of(name))
     times = plan.motion.waypoint_times
     stretch = (times[ahead] - times[ahead - 1]) / plan.waypoints[ahead].step_s
-    skill.steps, skill.stretch_max = step + 1, max(skill.stretch_max, stretch)
-    session.recorder.mark(session.driver.clock.now(), result.episode, name, step)
+    skill.stretch_max = max(skill.stretch_max, stretch)
 
 
-def _judge_skill(session: Session, task: Task, result: EpisodeResult, subgoal: FloatArray) -> None:
+def _judge_skill(session: Session, task: Task, result: EpisodeResult) -> None:
     """Whether the skill that is running has reached its subgoal, where the simulator can tell."""
     if session.driver.capabilities.simulated:
         skill = result.skills[-1]
+        name, subgoal = skill.start.skill, skill.start.subgoal
         with contextlib.suppress(ViskillError, ValueError):  # nothing to judge by
             observation = _look(session, task).observation
-            reached = task.achieved(
-                skill.name, observation, task.flags(session.driver.active_object())
-            )
-            skill.success = bool(task.skill_success(skill.name, reached, subgoal))
+            flags = task.flags(session.driver.active_object())
+            reached = task.achieved(name, observation, flags)
+            skill.success = bool(task.skill_success(name, reached, subgoal))
 
 
 def _seen(session: Session) -> Scene:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.types import Action, FloatArray, JointSetpoint
+from viskill_deploy.core.types import Action, FloatArray, JointSetpoint, SkillStart
 from viskill_deploy.kinematics.model import forward_batch, port_distances
 
 BROKEN = -1.0
@@ -21,11 +21,12 @@ class SkillResult:
     """How one skill of one episode went.
 
     Attributes:
+        start: what was decided at its first step.
         success: whether it reached its subgoal; None where nobody can tell.
         stretch_max: largest time of a step over the time that the policy meant.
     """
 
-    name: str
+    start: SkillStart
     steps: int = 0
     success: bool | None = None
     stretch_max: float = 1.0
@@ -37,21 +38,24 @@ class EpisodeResult:
 
     Attributes:
         stopped_by: id of the rule for which the gate stepped in; "" if it did not.
+        reason: why the line had nothing to ask the gate for, in words; "" if it always had.
         refused: why nothing was moved at all; "" if it was.
     """
 
     episode: int
     success: bool = False
     stopped_by: str = ""
+    reason: str = ""
     refused: str = ""
     simulated_s: float = 0.0
     skills: list[SkillResult] = field(default_factory=list)
 
-    def skill(self, name: str) -> SkillResult:
-        """The entry of a skill, made when it begins."""
-        if not self.skills or self.skills[-1].name != name:
-            self.skills.append(SkillResult(name))
-        return self.skills[-1]
+    def skill(self, start: SkillStart) -> tuple[SkillResult, bool]:
+        """The entry of the running skill, and whether it was made for this: the skill begins."""
+        begins = not self.skills or self.skills[-1].start.skill != start.skill
+        if begins:
+            self.skills.append(SkillResult(start))
+        return self.skills[-1], begins
 
 
 class Ledger:
@@ -146,14 +150,18 @@ def _episode(result: EpisodeResult) -> dict[str, Any]:
         "episode": result.episode,
         "success": result.success,
         "stopped_by": result.stopped_by,
+        "reason": result.reason,
         "refused": result.refused,
         "simulated_s": result.simulated_s,
         "skills": [
             {
-                "name": skill.name,
+                "name": skill.start.skill,
                 "steps": skill.steps,
                 "success": skill.success,
                 "stretch_max": skill.stretch_max,
+                "subgoal": skill.start.subgoal.tolist(),
+                "subgoal_source": skill.start.source,
+                "value": skill.start.value,
             }
             for skill in result.skills
         ],

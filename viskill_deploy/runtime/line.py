@@ -150,6 +150,11 @@ class Line:
         """Time of the present motion, s."""
         return self._phase
 
+    @property
+    def fault(self) -> str:
+        """Why the line asks for nothing; "" while it has something to ask for."""
+        return self._fault
+
     def fail(self, reason: str) -> None:
         """Leaves the gate without setpoints from now on: it stops the arms (S16)."""
         self._fault = reason

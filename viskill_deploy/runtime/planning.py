@@ -10,6 +10,7 @@ import numpy as np
 
 from viskill_deploy.bundle.chain import SkillChain
 from viskill_deploy.bundle.format import Bundle
+from viskill_deploy.bundle.subgoals import subgoal_source
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import MotionError, SafetyStop
 from viskill_deploy.core.types import (
@@ -19,6 +20,7 @@ from viskill_deploy.core.types import (
     FloatArray,
     JointSetpoint,
     Scene,
+    SkillStart,
     Waypoint,
 )
 from viskill_deploy.motion.plan import JointPlan, smooth
@@ -37,12 +39,12 @@ class Plan:
     Attributes:
         waypoints: where it leads, the first where the arms are.
         motion: the same in joints, smoothed.
-        subgoals: what each skill was told to reach.
+        starts: what was decided at each skill's first step.
     """
 
     waypoints: tuple[Waypoint, ...]
     motion: JointPlan
-    subgoals: Mapping[str, FloatArray]
+    starts: Mapping[str, SkillStart]
 
     def first_of(self, skill: str) -> int:
         """Index of a skill's first waypoint."""
@@ -106,7 +108,7 @@ def make_plan(
         measured: axis positions at which the arms are, (arms, 7): where the simulation starts.
         held: axis positions of the setpoints that their driver holds: where the plan starts.
         scene: where the objects are.
-        rng: for the scripted subgoals.
+        rng: for the scripted plan's subgoals.
         speed: part of the planned tip speed to use.
 
     Raises:
@@ -115,13 +117,14 @@ def make_plan(
     """
     loop = ClosedLoop(task, World(cell))
     observation = loop.reset(scene, measured)
-    subgoals = task.subgoals(observation, scene, rng)
-    chain = SkillChain(bundle, lambda skill, _: subgoals[skill])
+    chain = SkillChain(bundle, subgoal_source(bundle, task, rng))
+    starts: dict[str, SkillStart] = {}
     skills = {skill.name: skill for skill in task.skills}
     first = task.skills[0]
     waypoints = [replace(loop.waypoint, may_open_jaw=first.may_open_jaw)]
     while not chain.finished:
-        choice = chain.act(observation)
+        choice = chain.act(observation, loop.world.scene())
+        starts[choice.skill] = choice.start
         observation = loop.step(choice.action, skills[choice.skill])
         waypoints.append(loop.waypoint)
     dense = densified(waypoints)
@@ -132,7 +135,7 @@ def make_plan(
             "the plan does not do the task in the simulator and was not streamed; look at the "
             "scene, or run the policy closed loop"
         )
-    return Plan(tuple(dense), motion, subgoals)
+    return Plan(tuple(dense), motion, starts)
 
 
 def _ideal(

@@ -19,6 +19,7 @@ from viskill_deploy.core.types import (
     Mode,
     Request,
     Scene,
+    SkillStart,
     Verdict,
     Waypoint,
 )
@@ -71,8 +72,19 @@ class Recorder(Protocol):
         """Records the objects."""
         ...
 
-    def mark(self, now: float, episode: int, skill: str, step: int, note: str = "") -> None:
-        """Records where in the run this is; an episode's first note names its active object."""
+    def mark(
+        self,
+        now: float,
+        episode: int,
+        skill: str,
+        step: int,
+        note: str = "",
+        start: SkillStart | None = None,
+    ) -> None:
+        """Records where in the run this is, and with a skill's first step what was decided there.
+
+        An episode's first note names its active object.
+        """
         ...
 
 
@@ -228,7 +240,7 @@ class Session:
         self.cycle()  # the last sample of the stop once more: the record ends at rest
         self._stand_easy()
         if result is not None:
-            result.stopped_by = self.cause
+            result.stopped_by, result.reason = self.cause, self.line.fault
 
     def _stand_easy(self) -> None:
         self._is_moving = False

@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 
 from viskill_deploy.core.types import FloatArray, Scene
-from viskill_deploy.sim.tasks.base import Task
+from viskill_deploy.sim.tasks.base import AnyFloatArray, Task
 from viskill_deploy.sim.vector_scenes import Scenes
 
 
@@ -29,11 +29,11 @@ def observe(task: Task, T_task_tip: FloatArray, jaws: FloatArray, scenes: Scenes
 
 
 def scripted_actions(
-    task: Task, skills: Sequence[str], observations: FloatArray, subgoals: FloatArray
+    task: Task, skills: Sequence[str], observations: AnyFloatArray, subgoals: AnyFloatArray
 ) -> FloatArray:
     """The scripted controller's actions, (N, k), one skill's name an environment."""
 
-    def act(skill: str, rows: FloatArray, goals: FloatArray) -> FloatArray:
+    def act(skill: str, rows: AnyFloatArray, goals: AnyFloatArray) -> FloatArray:
         return task.scripted_action(skill, rows, goals)
 
     return _by_skill(task, act, skills, observations, subgoals)
@@ -44,7 +44,7 @@ def achieved(
 ) -> FloatArray:
     """What stands where subgoals would stand, (N, m), one skill's name an environment."""
 
-    def read(skill: str, rows: FloatArray, contacts: FloatArray) -> FloatArray:
+    def read(skill: str, rows: AnyFloatArray, contacts: AnyFloatArray) -> FloatArray:
         return task.achieved(skill, rows, contacts)
 
     return _by_skill(task, read, skills, observations, flags)
@@ -52,10 +52,10 @@ def achieved(
 
 def _by_skill(
     task: Task,
-    function: Callable[[str, FloatArray, FloatArray], FloatArray],
+    function: Callable[[str, AnyFloatArray, AnyFloatArray], FloatArray],
     skills: Sequence[str],
-    first: FloatArray,
-    second: FloatArray,
+    first: AnyFloatArray,
+    second: AnyFloatArray,
 ) -> FloatArray:
     """Calls a function for all environments with the same skill together, where the task can."""
     if not _is_batched(task):

@@ -11,7 +11,7 @@ from viskill_deploy.core.errors import TrainingError
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.motion.waypoints import ACTION_SIZE
 from viskill_deploy.sim import vector_task
-from viskill_deploy.sim.tasks.base import Task
+from viskill_deploy.sim.tasks.base import AnyFloatArray, Task
 from viskill_deploy.sim.vector_loop import VectorLoop
 from viskill_deploy.train.replay import Episodes
 from viskill_deploy.train.rollout import (
@@ -61,7 +61,7 @@ def script(task: Task, index: int) -> Act:
     """The scripted controller of a skill."""
     name = task.skills[index].name
 
-    def act(obs: FloatArray, goals: FloatArray) -> FloatArray:
+    def act(obs: AnyFloatArray, goals: AnyFloatArray) -> FloatArray:
         return vector_task.scripted_actions(task, [name] * len(obs), obs, goals)
 
     return act

@@ -135,7 +135,7 @@ def graphs_of(trained: Trained) -> dict[str, bytes]:
     for index, skill in enumerate(task.skills):
         data = demos[index].clean
         obs, goal = data.obs[:, 0][:CHECKED_STATES], data.goal[:CHECKED_STATES]
-        goals3 = np.tile(np.float32([0.01, 0.02, 0.005]), (len(obs), 1))
+        goals3 = np.tile(np.array([0.01, 0.02, 0.005], np.float32), (len(obs), 1))
         feed = {"obs": obs, "goal": goal, "task_goal": goals3, "subgoal": goal}
         weights = trained.skills[index]["weights"]
         act = actor(trained.run, weights)
@@ -169,7 +169,7 @@ def _checked(name: str, graph: bytes, feed: dict[str, Float32Array], wished: Flo
 
 def build_manifest(trained: Trained, scores: Sequence[Score], command: str) -> Manifest:
     """The manifest of a bundle, hashes still empty."""
-    task, spec = trained.run.task, trained.run.task.action
+    task = trained.run.task
     names = [skill.name for skill in task.skills]
     return Manifest(
         schema=1,
@@ -186,7 +186,7 @@ def build_manifest(trained: Trained, scores: Sequence[Score], command: str) -> M
         control_point="jaw_pivot",
         length_unit="m",
         step_s=task.cell.file.motion.step_s,
-        action=ActionEntry.of(spec, task.cell),
+        action=ActionEntry.of(task.action),
         observation=_layout(task.observation_layout),
         goal=_layout(task.goal_layout),
         skills=tuple(

@@ -15,9 +15,11 @@ from viskill_deploy.bundle.format import MANIFEST, check_fits, digest, load_bund
 from viskill_deploy.bundle.format import Manifest as ManifestModel
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import BundleError
+from viskill_deploy.core.types import Scene, SkillStart
 from viskill_deploy.motion.waypoints import ActionSpec
 
 Edit = Callable[[dict[str, Any]], None]
+SCENE = Scene(0.0, (), "", np.zeros(3))
 
 
 def edited(folder: Path, edit: Edit) -> None:
@@ -33,7 +35,9 @@ def test_a_correct_bundle_loads_and_fits_its_cell(untrained_bundle: Path) -> Non
     bundle = load_bundle(untrained_bundle)
     assert bundle.manifest.observation_size == 35
     assert bundle.manifest.goal_size == 8
-    assert set(bundle.sessions) == {"grasp", "handover", "release"}
+    assert set(bundle.skills) == {"grasp", "handover", "release"}
+    assert not bundle.chaining
+    assert not bundle.values
     check_fits(bundle, load_cell("bipegtransfer"))
 
 
@@ -208,17 +212,18 @@ def test_a_chain_runs_each_skill_for_its_budget_with_its_own_subgoal(
 ) -> None:
     asked: list[str] = []
 
-    def subgoals(skill: str, observation: np.ndarray) -> np.ndarray:
+    def subgoals(skill: str, observation: np.ndarray, scene: Scene) -> SkillStart:
         asked.append(skill)
-        return np.full(8, len(asked), dtype=float)
+        return SkillStart(skill, np.full(8, len(asked), dtype=float), "scripted")
 
     chain = SkillChain(load_bundle(untrained_bundle), subgoals)
     choices = []
     while not chain.finished:
-        choices.append(chain.act(np.zeros(35)))
+        choices.append(chain.act(np.zeros(35), SCENE))
     assert asked == ["grasp", "handover", "release"]
     assert chain.steps == len(choices) == 100
     assert [c.step for c in choices[43:47]] == [43, 44, 0, 1]
-    assert {c.subgoal[0] for c in choices[45:80]} == {2.0}
+    assert {c.start.subgoal[0] for c in choices[45:80]} == {2.0}
+    assert {c.start.value for c in choices} == {None}
     assert choices[50].may_open_jaw == (False, True)
     assert all(c.action.shape == (10,) for c in choices)

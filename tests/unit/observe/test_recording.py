@@ -16,8 +16,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import RecordingError
-from viskill_deploy.core.types import Action, Mode, Request, Verdict
-from viskill_deploy.observe import messages
+from viskill_deploy.core.types import Action, Mode, Request, SkillStart, Verdict
+from viskill_deploy.observe import figures, messages
 from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.observe.recording import Recorder
 
@@ -292,3 +292,23 @@ def test_a_damaged_chunk_is_refused_not_shown(tmp_path):
     file.write_bytes(content)
     with pytest.raises(RecordingError, match="damaged"):
         read_recording(tmp_path / "bag")
+
+
+def test_what_was_decided_at_a_skills_start_is_recorded_with_its_first_step(tmp_path):
+    cell = load_cell("bipegtransfer")
+    subgoal = np.array([0.01, -0.02, 0.05, 0.0, 0.03, 0.04, 0.0, 1.0])
+    with Recorder(tmp_path / "bag", cell, synthetic.PERIOD_S, patience_s=30.0) as recorder:
+        synthetic.feed(recorder, cell, range(10))
+        for step, start in enumerate([SkillStart("lift", subgoal, "chaining", 0.75), None]):
+            recorder.mark(5.1 + step, 0, "lift", step, start=start)
+        recorder.mark(8.0, 0, "place", 0, start=SkillStart("place", subgoal, "task"))
+    data = read_recording(tmp_path / "bag", 0)
+    reach, lift, next_step, place = data.marks
+    assert (reach.subgoal, reach.subgoal_source, reach.value) == ((), "", None)
+    assert (lift.subgoal, lift.subgoal_source, lift.value) == (tuple(subgoal), "chaining", 0.75)
+    assert (next_step.subgoal, next_step.step) == ((), 1)
+    assert (place.subgoal_source, place.value) == ("task", None)
+    drawn = figures.path_figure(data, cell)["data"][-1]
+    assert drawn["name"] == "subgoals"
+    assert drawn["x"] == [10.0, 0.0] * 2
+    assert drawn["text"] == ["lift, subgoal"] * 2 + ["place, subgoal"] * 2

@@ -13,10 +13,12 @@ import synthetic_run as synthetic
 from rich.console import Console
 
 from viskill_deploy.core.description import load_cell
-from viskill_deploy.observe import figures, labels, plotting, summary, tables
+from viskill_deploy.core.types import SkillStart
+from viskill_deploy.observe import figures, labels, plotting, starts, summary, tables
 from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.observe.report import write_report
 from viskill_deploy.observe.video import Video, render_video
+from viskill_deploy.runtime.ledger import EpisodeResult, SkillResult
 
 RESULT = {
     "task": "BiPegTransfer",
@@ -247,3 +249,94 @@ def test_an_episode_that_never_moved_is_a_note_not_an_error(bag, tmp_path):
     assert "no plots: " in text
     assert "no episode 8; ask for one of [0, 1]" in text
     assert "50%" in text
+
+
+CHAINED = RESULT | {
+    "episodes": 2,
+    "value_threshold": 0.5,
+    "subgoal_layout": [
+        {"name": "first_position", "size": 3},
+        {"name": "second_position", "size": 3},
+        {"name": "contact", "size": 2},
+    ],
+    "episode_results": [
+        {"episode": 0, "success": True, "skills": [
+            {"name": "reach", "steps": 10, "success": True, "stretch_max": 1.0,
+             "subgoal": [0.0123, -0.04, 0.05, 0.01, 0.02, 0.03, 1.0, 0.0],
+             "subgoal_source": "chaining", "value": 0.42},
+            {"name": "place", "steps": 7, "success": True, "stretch_max": 1.4,
+             "subgoal": [0.0, 0.0, 0.05, 0.01, 0.02, 0.03, 0.0, 0.0],
+             "subgoal_source": "task", "value": None},
+        ]},
+        {"episode": 1, "success": False, "stopped_by": "S16", "reason": "it is <lost>", "skills": [
+            {"name": "reach", "steps": 10, "success": True, "stretch_max": 1.0,
+             "subgoal": [0.0] * 8, "subgoal_source": "chaining", "value": 0.71},
+        ]},
+    ],
+}  # fmt: skip
+
+
+def test_the_report_tells_every_subgoal_and_value_of_the_shown_episode(tmp_path):
+    path = write_report(tmp_path / "r.html", CHAINED, load_cell("bipegtransfer"))
+    text = path.read_text(encoding="utf-8")
+    section = text[text.index("<h2>Subgoals</h2>") :]
+    for told in ("12.3, -40.0, 50.0 mm", "Second position", "1, 0", "0.42", "chaining", "task"):
+        assert told in section
+    assert '<td class="n low">0.42</td>' in section
+    assert "A value below 0.50 counts as low" in section
+    assert "0.71" not in section
+    assert "it is &lt;lost&gt;" in section
+
+
+def test_why_the_shown_episode_ended_early_stands_in_the_notes(tmp_path):
+    path = write_report(tmp_path / "r.html", CHAINED, load_cell("bipegtransfer"), episode=1)
+    notes = path.read_text(encoding="utf-8")
+    notes = notes[notes.index("<h2>Notes</h2>") : notes.index("<h2>This run</h2>")]
+    assert "episode 1: it is &lt;lost&gt;" in notes
+
+
+def test_a_result_without_subgoals_has_no_such_section(page):
+    assert "<h2>Subgoals</h2>" not in page
+
+
+def test_values_are_told_from_lowest_to_highest_and_low_ones_counted():
+    reach, place = summary.skill_rows(CHAINED)
+    assert (reach.source, reach.value, reach.values_low) == ("chaining", "0.42–0.71", 1)
+    assert (place.source, place.value, place.values_low) == ("task", "–", 0)
+    assert summary.skill_rows(CHAINED, episode=1)[0].value == "0.71"
+
+
+def test_the_plain_lines_tell_source_and_value():
+    lines = list(tables.plain_lines(CHAINED))
+    assert (
+        "skill reach: 10 steps, 2 of 2, subgoal chaining, value 0.42–0.71, 1 below the threshold, "
+        "stretch 1.00×" in lines
+    )
+    assert "skill place: 7 steps, done, subgoal task, stretch 1.40×" in lines
+    console = Console(file=io.StringIO(), width=100, force_terminal=True)
+    tables.print_tables(CHAINED, console)
+    assert "0.42–0.71" in console.file.getvalue()
+
+
+def test_subgoals_without_a_layout_are_plain_numbers():
+    (row, _) = starts.start_rows({k: v for k, v in CHAINED.items() if k != "subgoal_layout"}, 0)
+    assert row.parts == (("subgoal", "0.0123, -0.04, 0.05, 0.01, 0.02, 0.03, 1, 0"),)
+
+
+def skill(value: float | None) -> SkillResult:
+    return SkillResult(SkillStart("grasp", np.zeros(8), "chaining", value))
+
+
+@pytest.mark.parametrize(
+    ("value", "threshold", "told"),
+    [(0.49, 0.5, True), (0.5, 0.5, False), (None, 0.5, False), (0.1, None, False)],
+)
+def test_a_person_hears_of_a_low_value(value, threshold, told):
+    remarks = list(starts.remarks(EpisodeResult(3, skills=[skill(value)]), threshold))
+    expected = "episode 3: value 0.49 at the start of grasp is below the bundle's threshold 0.50"
+    assert remarks == ([expected] if told else [])
+
+
+@pytest.mark.parametrize("key", ["reason", "refused"])
+def test_a_person_hears_why_an_episode_ended(key):
+    assert list(starts.remarks(EpisodeResult(3, **{key: "lost"}), None)) == ["episode 3: lost"]

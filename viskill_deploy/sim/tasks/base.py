@@ -107,7 +107,7 @@ class Task(Protocol):
         ...
 
     def scripted_action(
-        self, skill: str, observation: FloatArray, subgoal: FloatArray
+        self, skill: str, observation: AnyFloatArray, subgoal: AnyFloatArray
     ) -> FloatArray:
         """The scripted controller's action, five numbers an arm in [-1, 1]."""
         ...

@@ -1,0 +1,151 @@
+"""Episodes whose subgoals the bundle chooses, closed loop and planned, and what refuses them."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chaining import VALUES, chain_graph, replace_file, resign, value_graph
+
+from viskill_deploy.core.types import SkillStart
+from viskill_deploy.runtime.dry_run import DryRunOptions, Mode, Outcome, dry_run
+from viskill_deploy.runtime.preflight import prepare
+
+SKILLS = ["grasp", "handover", "release"]
+SOURCES = ["chaining", "chaining", "task"]
+NAN = float("nan")
+
+
+class Notebook:
+    """A recorder that remembers what was decided at the start of skills."""
+
+    alive = True
+
+    def __init__(self) -> None:
+        self.starts: list[tuple[int, str, int, SkillStart]] = []
+        self.sent: list[tuple[float, ...]] = []
+
+    def cycle(self, *args: object) -> None:
+        self.sent.append(tuple(x for s in args[3] for x in s.jp))  # type: ignore[attr-defined]
+
+    def scene(self, *args: object) -> None:
+        pass
+
+    def mark(
+        self,
+        now: float,
+        episode: int,
+        skill: str,
+        step: int,
+        note: str = "",
+        start: SkillStart | None = None,
+    ) -> None:
+        if start is not None:
+            self.starts.append((episode, skill, step, start))
+
+
+def run(bundle: Path, mode: Mode = "closed-loop", episodes: int = 1) -> tuple[Outcome, Notebook]:
+    notebook = Notebook()
+    options = DryRunOptions(episodes=episodes, mode=mode, distribution="reference")
+    return dry_run(prepare(bundle), options, notebook), notebook
+
+
+@pytest.fixture
+def copy(chained_imitation: Path, tmp_path: Path) -> Path:
+    """A bundle that does the task, to be spoiled."""
+    return shutil.copytree(chained_imitation, tmp_path / "copy")
+
+
+@pytest.mark.parametrize("mode", ["closed-loop", "plan"])
+def test_the_task_is_done_with_chosen_subgoals_and_every_start_is_told(
+    chained_imitation: Path, mode: Mode
+) -> None:
+    outcome, notebook = run(chained_imitation, mode)
+    figures = outcome.figures
+    assert outcome.failure is None
+    assert figures["success_rate"] == 1.0
+    assert figures["interventions"] == 0
+    assert (figures["subgoals"], figures["value_threshold"]) == ("chaining", 0.5)
+    (episode,) = figures["episode_results"]
+    assert [s["name"] for s in episode["skills"]] == SKILLS
+    assert [s["steps"] for s in episode["skills"]] == [45, 35, 20]
+    assert [s["success"] for s in episode["skills"]] == [True] * 3
+    assert [s["subgoal_source"] for s in episode["skills"]] == SOURCES
+    assert [s["value"] for s in episode["skills"]] == pytest.approx(list(VALUES.values()))
+    assert [(skill, step) for _, skill, step, _ in notebook.starts] == [(s, 0) for s in SKILLS]
+    for told, (_, _, _, start) in zip(episode["skills"], notebook.starts, strict=True):
+        np.testing.assert_array_equal(told["subgoal"], start.subgoal)
+        assert sum(part["size"] for part in figures["subgoal_layout"]) == len(told["subgoal"])
+
+
+def test_a_scripted_bundle_tells_its_subgoals_too_and_no_value() -> None:
+    outcome, notebook = run(Path("bipegtransfer-imitation"))
+    (episode,) = outcome.figures["episode_results"]
+    assert {s["subgoal_source"] for s in episode["skills"]} == {"scripted"}
+    assert {s["value"] for s in episode["skills"]} == {None}
+    assert outcome.figures["value_threshold"] is None
+    assert len(notebook.starts) == 3
+
+
+@pytest.mark.parametrize("wrong", [NAN, 0.2], ids=["nan", "outside"])
+def test_a_first_subgoal_that_is_refused_moves_nothing_and_says_why(
+    copy: Path, wrong: float
+) -> None:
+    replace_file(copy, "chain-grasp.onnx", chain_graph([wrong, 0.0, 0.05, 0.0, 0.0, 0.05]))
+    outcome, notebook = run(copy, episodes=2)
+    assert outcome.failure is None, "the next episode is run"
+    for episode in outcome.figures["episode_results"]:
+        assert not episode["success"]
+        assert episode["stopped_by"] == "S16"
+        assert "the subgoal chosen for 'grasp'" in episode["reason"]
+        assert episode["skills"] == []
+    assert notebook.starts == []
+    assert np.ptp(np.array(notebook.sent), axis=0).max() < 1e-9
+
+
+def test_a_later_subgoal_that_is_refused_brings_the_arms_to_rest(copy: Path) -> None:
+    replace_file(copy, "chain-handover.onnx", chain_graph([NAN] * 6))
+    outcome, notebook = run(copy)
+    (episode,) = outcome.figures["episode_results"]
+    assert [s["name"] for s in episode["skills"]] == ["grasp"]
+    assert episode["skills"][0]["success"] is True
+    assert episode["stopped_by"] == "S16"
+    assert "'handover' is not finite" in episode["reason"]
+    assert np.abs(np.diff(notebook.sent[-2:], axis=0)).max() < 1e-9
+
+
+def test_a_value_that_is_no_number_stops_the_episode_like_a_bad_subgoal(copy: Path) -> None:
+    replace_file(copy, "value-grasp.onnx", value_graph(NAN))
+    outcome, notebook = run(copy)
+    (episode,) = outcome.figures["episode_results"]
+    assert episode["stopped_by"] == "S16"
+    assert "no probability" in episode["reason"]
+    assert np.ptp(np.array(notebook.sent), axis=0).max() < 1e-9
+
+
+@pytest.mark.parametrize("graph", ["chain-grasp.onnx", "chain-handover.onnx", "value-release.onnx"])
+def test_in_plan_mode_nothing_moves_at_all(copy: Path, graph: str) -> None:
+    bad = value_graph(NAN) if graph.startswith("value") else chain_graph([NAN] * 6)
+    replace_file(copy, graph, bad)
+    outcome, notebook = run(copy, "plan")
+    (episode,) = outcome.figures["episode_results"]
+    assert not episode["success"]
+    assert graph.removesuffix(".onnx").split("-")[1] in episode["refused"]
+    assert notebook.sent == []
+
+
+def test_a_low_value_is_told_and_does_not_stop_the_run(copy: Path) -> None:
+    replace_file(copy, "value-handover.onnx", value_graph(0.2))
+    outcome, _ = run(copy)
+    (episode,) = outcome.figures["episode_results"]
+    assert episode["success"]
+    assert episode["skills"][1]["value"] == pytest.approx(0.2)
+
+
+def test_a_chaining_bundle_without_value_runs(copy: Path) -> None:
+    for path in copy.glob("value-*.onnx"):
+        path.unlink()
+    resign(copy, value=None)
+    outcome, _ = run(copy)
+    assert outcome.figures["success_rate"] == 1.0
+    assert {s["value"] for s in outcome.figures["episode_results"][0]["skills"]} == {None}

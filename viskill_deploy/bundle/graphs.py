@@ -1,0 +1,105 @@
+"""ONNX graphs of a bundle: opened from checked bytes, held to a signature, run a row at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+from onnxruntime.capi import onnxruntime_pybind11_state as ort_errors
+
+from viskill_deploy.core.errors import BundleError
+from viskill_deploy.core.types import FloatArray
+
+ORT_ERRORS: tuple[type[Exception], ...] = (
+    ort_errors.Fail,
+    ort_errors.InvalidArgument,
+    ort_errors.InvalidGraph,
+    ort_errors.InvalidProtobuf,
+    ort_errors.NoSuchFile,
+    ort_errors.NotImplemented,
+    ort_errors.RuntimeException,
+    RuntimeError,
+    ValueError,
+)
+"""ONNX Runtime's errors share no base class."""
+
+
+@dataclass(frozen=True, slots=True)
+class Signature:
+    """What a graph takes and gives: names and widths of float32 tensors [N, width].
+
+    Attributes:
+        inputs: width of every input.
+        output: name of the one output.
+        width: its width.
+    """
+
+    inputs: Mapping[str, int]
+    output: str
+    width: int
+
+
+@dataclass(frozen=True)
+class Graph:
+    """A graph that has the signature that its bundle needs; it runs on one thread.
+
+    Attributes:
+        path: the file, for messages.
+        signature: what it takes and gives.
+        session: ONNX Runtime's.
+    """
+
+    path: Path
+    signature: Signature
+    session: onnxruntime.InferenceSession
+
+    def __call__(self, *inputs: FloatArray) -> FloatArray:
+        """The answer to one row, (width,), which need not be finite.
+
+        Args:
+            inputs: one vector an input, in the order of the signature.
+
+        Raises:
+            BundleError: the graph cannot run.
+        """
+        rows = zip(self.signature.inputs, inputs, strict=True)
+        feed = {name: values[None].astype(np.float32) for name, values in rows}
+        try:
+            (answer,) = self.session.run([self.signature.output], feed)
+        except ORT_ERRORS as error:
+            raise BundleError(self.path, f"cannot run: {error}; export it again") from error
+        return np.asarray(answer[0], dtype=np.float64)
+
+
+def open_graph(path: Path, content: bytes, signature: Signature) -> Graph:
+    """The graph in `content`.
+
+    Args:
+        path: where the bytes came from, for messages.
+        content: the very bytes that were hashed.
+        signature: what it has to take and give.
+
+    Raises:
+        BundleError: it is no ONNX graph, or takes or gives something else.
+    """
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    try:
+        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except ORT_ERRORS as error:
+        raise BundleError(path, f"is no usable ONNX graph ({error}); export it again") from error
+    for wanted, nodes in (
+        (signature.inputs, session.get_inputs()),
+        ({signature.output: signature.width}, session.get_outputs()),
+    ):
+        found = {node.name: (node.type, len(node.shape), *node.shape[-1:]) for node in nodes}
+        expected = {name: ("tensor(float)", 2, width) for name, width in wanted.items()}
+        if found != expected:
+            raise BundleError(
+                path, f"has {found}, the manifest says {expected}; export the bundle again"
+            )
+    return Graph(path, signature, session)
