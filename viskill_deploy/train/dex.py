@@ -30,7 +30,8 @@ class DexSettings:
 
     Attributes:
         discount: gamma, per policy step.
-        closeness: alpha, the price of being away from the demonstrations.
+        closeness: alpha, the price of being away from the demonstrations; the paper has 5, under
+            which a critic that has just begun drags the actor away from what it imitates.
         guidance: who tells what would have been demonstrated.
         neighbours: demonstrated states that speak for a state.
         critic_first: updates of the critic alone, before the actor follows it.
@@ -43,7 +44,7 @@ class DexSettings:
     """
 
     discount: float = 0.99
-    closeness: float = 5.0
+    closeness: float = 50.0
     guidance: Literal["imitation", "neighbours"] = "imitation"
     neighbours: int = 5
     critic_first: int = 500

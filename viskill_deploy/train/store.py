@@ -45,7 +45,7 @@ def load(path: Path) -> dict[str, Any]:
             arrays = {key: archive[key] for key in archive.files}
         skeleton = json.loads(str(arrays.pop("__tree__")))
         tree: dict[str, Any] = _with_arrays(skeleton, arrays)
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise TrainingError(
             f"{path} cannot be read ({error}); delete it and train again"
         ) from error
