@@ -93,7 +93,7 @@ def _lots(
     starts: list[list[Start]] = [[] for _ in task.skills]
     while sum(map(len, episodes[0])) < wanted:
         plans = fresh(loop, rng, distributions)
-        noise, good = _noise(loop, disturbance, rng), np.ones(loop.count, dtype=bool)
+        noise, good = push(loop, disturbance, rng), np.ones(loop.count, dtype=bool)
         lot = []
         for index in range(len(task.skills)):
             starts[index] += saved(loop, plans)
@@ -114,10 +114,10 @@ def _lots(
     return episodes, starts
 
 
-def _noise(loop: VectorLoop, disturbance: float, rng: np.random.Generator) -> FloatArray:
+def push(loop: VectorLoop, largest: float, rng: np.random.Generator) -> FloatArray:
     """Standard deviations (count, k), another one for every episode; jaws are left alone."""
     size = ACTION_SIZE * len(loop.task.cell.arms)
-    noise = np.tile(disturbance * rng.random((loop.count, 1)), (1, size))
+    noise = np.tile(largest * rng.random((loop.count, 1)), (1, size))
     noise[:, ACTION_SIZE - 1 :: ACTION_SIZE] = 0.0
     return noise
 

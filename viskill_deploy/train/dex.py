@@ -2,10 +2,10 @@
 
 T. Huang et al., "Demonstration-Guided Reinforcement Learning with Efficient Exploration for Task
 Automation of Surgical Robot", ICRA 2023; subgoal-conditioned as in ViSkill, equation 1. Actor and
-critic are deterministic policy gradient; both are told how far the actor is from what would have been
-demonstrated. The paper asks the nearest demonstrated states what that is (`guidance` "neighbours");
-here the policy that imitates the demonstrations answers by default ("imitation"), which is several
-times nearer to the script where a millimetre decides.
+critic are deterministic policy gradient; both are told how far the actor is from what would have
+been demonstrated. The paper asks the nearest demonstrated states what that is (`guidance`
+"neighbours"); by default the policy that imitates the demonstrations answers here ("imitation"),
+which comes several times nearer to the script where a millimetre decides.
 """
 
 from __future__ import annotations
@@ -98,6 +98,7 @@ class Dex:
         self._guide = copy.deepcopy(self.actor).requires_grad_(False)
         self._updates = 0
         self._actor_optimiser = adam(self.actor, settings.actor_rate)
+        self._imitation_optimiser = adam(self.actor, settings.actor_rate)
         self._critic_optimiser = adam(self.critic, settings.critic_rate)
 
     def act(self, obs: AnyFloatArray, goal: AnyFloatArray) -> FloatArray:
@@ -107,11 +108,13 @@ class Dex:
             action: FloatArray = torch.tanh(self.actor(x)).numpy().astype(np.float64)
         return action
 
-    def imitate(self, demo: Batch, corrected: Batch) -> float:
+    def imitate(self, demo: Batch, corrected: Batch, rate: float) -> float:
         """One step towards demonstrated actions; returns the mean squared error."""
+        for group in self._imitation_optimiser.param_groups:
+            group["lr"] = rate
         both = Pair.of(self.actor, demo, corrected)
         loss = squared_distance(torch.tanh(self.actor.head(both.x)), both.action).mean()
-        descend(self._actor_optimiser, loss)
+        descend(self._imitation_optimiser, loss)
         for copied in (self.actor_target, self._guide):
             follow(copied, self.actor, 1.0)
         return float(loss.detach())
@@ -169,6 +172,7 @@ class Dex:
             "actor_target": state_of(self.actor_target),
             "critic_target": state_of(self.critic_target),
             "guide": state_of(self._guide),
+            "imitation": state_of(self.actor, self._imitation_optimiser),
             "updates": self._updates,
         }
 
@@ -179,6 +183,7 @@ class Dex:
         restore(tree["actor_target"], self.actor_target)
         restore(tree["critic_target"], self.critic_target)
         restore(tree["guide"], self._guide)
+        restore(tree["imitation"], self.actor, self._imitation_optimiser)
         self._updates = tree["updates"]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import cast
 
 from viskill_deploy.core.types import FloatArray
@@ -42,6 +43,7 @@ def learn_flat(run: Run, stage: str, settings: SkillSettings) -> TaskPolicy:
     if not run.done(stage):
         demos = whole_demos(run.task, demos_of(run))
         loop = VectorLoop(cast(Task, WholeTask(run.task)), run.settings.environments)
+        settings = dataclasses.replace(settings, corrections=0)  # the script knows skills only
         data = SkillData(demos.clean, demos.corrected)
         learner = SkillLearner(
             loop, 0, data, run.settings.distributions, settings, run.settings.dex, run.seed

@@ -31,7 +31,6 @@ from viskill_deploy.train.skill_learning import SkillData, SkillLearner
 
 LOG = "log.jsonl"
 SETTINGS = "settings.json"
-LEARNED_STARTS = 256
 
 Say = Callable[[str], None]
 """Where progress goes, a line at a time."""
@@ -232,7 +231,7 @@ def _ends(run: Run, learner: SkillLearner, act: Act) -> list[Start]:
         return []
     rng = np.random.default_rng((run.seed, learner.index, 2))
     ends: list[Start] = []
-    while len(ends) < LEARNED_STARTS:
+    while len(ends) < run.settings.skill.ends:
         goals, plans = learner.begin(rng, spread=True)
         run_skill(run.loop, learner.index, act, goals)
         ends += saved(run.loop, plans)

@@ -1,13 +1,16 @@
-"""Learning one skill: imitation of its demonstrations, then DEX with goals in hindsight.
+"""Learning one skill: imitation of its demonstrations, corrections, then DEX with hindsight.
 
 The learner alternates between runs of the skill in many environments and gradient steps. Runs begin
-where the script's earlier skills ended and where the learned ones did. After every few rounds the
-skill is tested without exploration, and the best weights are kept.
+where the script's earlier skills ended and where the learned ones did, and half of them are given
+subgoals that the script's plan would not choose. In rounds of correction the learner drives and the
+script says what it would have done (S. Ross et al., AISTATS 2011); in those after it, DEX learns
+from experience. Every few rounds the skill is tested without exploration; the best weights are kept.
 """
 
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -16,12 +19,16 @@ import numpy as np
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.sim.tasks.base import Task
 from viskill_deploy.sim.vector_loop import VectorLoop
+from viskill_deploy.train.demos import push, script
 from viskill_deploy.train.dex import Dex, DexSettings
 from viskill_deploy.train.network import scaling_of
 from viskill_deploy.train.optimiser import state_of
 from viskill_deploy.train.replay import Batch, Episodes, Float32Array, Replay
 from viskill_deploy.train.rollout import Start, final_goals, fresh, reached, resume, run_skill
 from viskill_deploy.train.subgoal_space import POSITIONS
+
+IMITATION_RATE, LOWEST_RATE, POLISHED_RATE = 1e-3, 1e-4, 1e-5
+"""Learning rate of imitation: at the start of a round, at its end, at the end of the last one."""
 
 VALIDATION = 2**30
 """Added to the seeds of test rounds: neither training nor the reported evaluation uses them."""
@@ -32,28 +39,40 @@ class SkillSettings:
     """Amounts.
 
     Attributes:
-        imitation_steps: gradient steps on demonstrations before the first round.
-        rounds: of experience, at most.
-        updates: gradient steps a round.
+        imitation_steps: gradient steps on demonstrations in the first round.
+        imitation_hindsight: part of the imitated states with goals in hindsight.
+        corrections: rounds in which the script corrects the learner; the paper has none.
+        correction_steps: gradient steps on all that was labelled, in each of them.
+        polish_steps: the same in the last of them.
+        rounds: of DEX, at most.
+        updates: gradient steps in each of them.
         test_every: rounds between tests.
         test_lots: lots of `environments` episodes in a test.
         enough: a test counts as passed from here on.
         passes: tests passed in a row after which learning ends.
+        push: largest standard deviation by which arms are pushed in rounds of correction.
         subgoal_spread_m: subgoals of half of the runs are moved by up to this on each axis.
         learned_starts: part of the runs that begin where the learned earlier skills ended.
         capacity: episodes remembered.
+        ends: moments kept at which the learned skill leaves the task, for the next one to start at.
     """
 
     imitation_steps: int = 3000
+    imitation_hindsight: float = 0.0
+    corrections: int = 6
+    correction_steps: int = 800
+    polish_steps: int = 4000
     rounds: int = 30
     updates: int = 500
     test_every: int = 3
     test_lots: int = 1
     enough: float = 0.99
     passes: int = 2
+    push: float = 0.15
     subgoal_spread_m: float = 0.010
     learned_starts: float = 0.5
     capacity: int = 2000
+    ends: int = 256
 
 
 @dataclass(frozen=True)
@@ -132,25 +151,28 @@ class SkillLearner:
         self.experience = Replay(self.settings.capacity, success)
         self._demos = Replay(len(self.data.demos), success)
         self._demos.add(self.data.demos, self._rng)
-        self._corrected = Replay(len(self.data.corrected), success)
+        room = self.settings.corrections * self.loop.count
+        self._corrected = Replay(len(self.data.corrected) + room, success)
         self._corrected.add(self.data.corrected, self._rng)
         self._best_actor = state_of(self.agent.actor)
 
     @property
     def finished(self) -> bool:
         """Whether there is nothing left to do."""
-        return self.round > self.settings.rounds or self.passed >= self.settings.passes
+        dex_rounds = self.round - 1 - self.settings.corrections
+        return dex_rounds >= self.settings.rounds or self.passed >= self.settings.passes
 
     def advance(self) -> dict[str, float]:
         """One round; returns what there is to say about it. The first round imitates."""
-        s, line = self.settings, {"round": float(self.round)}
+        s, line = self.settings, {"round": self.round}
+        dex_rounds = self.round - s.corrections
         if self.round == 0:
-            for _ in range(s.imitation_steps):
-                parts = [
-                    memory.sample(self.dex.batch, hindsight, self._rng)
-                    for memory, hindsight in ((self._demos, 0.5), (self._corrected, 0.0))
-                ]
-                line["imitation"] = self.agent.imitate(*parts)
+            steps = s.imitation_steps if s.corrections else s.imitation_steps + s.polish_steps
+            line["imitation"] = self._imitate(steps, last=not s.corrections)
+        elif dex_rounds <= 0:
+            line["exploring"] = self._correct()
+            steps = s.polish_steps if dex_rounds == 0 else s.correction_steps
+            line["imitation"] = self._imitate(steps, last=dex_rounds == 0)
         else:
             line["exploring"] = self._explore()
             for _ in range(s.updates):
@@ -161,7 +183,7 @@ class SkillLearner:
                 if self.shaping:
                     batches = [self.shaping.shaped(batch) for batch in batches]
                 line.update(self.agent.update(*batches))
-        if self.round % s.test_every == 0 or self.round == s.rounds:
+        if dex_rounds >= 0 and (dex_rounds % s.test_every == 0 or dex_rounds == s.rounds):
             line["success"] = self._test()
         self.round += 1
         self.history.append(line)
@@ -172,12 +194,45 @@ class SkillLearner:
         self.agent.restore(agent)
         for actor in (self.agent.actor, self.agent.actor_target):
             actor.load(weights)
-        self._best_actor, self.round = state_of(self.agent.actor), 1
+        self._best_actor = state_of(self.agent.actor)
+        self.round = 1 + self.settings.corrections
 
     def best_weights(self) -> dict[str, FloatArray]:
         """Numbers of the best actor."""
         weights: dict[str, FloatArray] = self._best_actor["weights"]
         return weights
+
+    def _imitate(self, steps: int, last: bool) -> float:
+        """Gradient steps on all that is labelled; returns the mean loss of the last tenth."""
+        hindsight, size = self.settings.imitation_hindsight, self.dex.batch
+        lowest = POLISHED_RATE if last else LOWEST_RATE
+        tail: list[float] = []
+        for step in range(steps):
+            fall = 0.5 * (1.0 + math.cos(math.pi * step / steps))
+            rate = lowest + (IMITATION_RATE - lowest) * fall
+            parts = (
+                self._demos.sample(size, hindsight, self._rng),
+                self._corrected.sample(size, 0.0, self._rng),
+            )
+            loss = self.agent.imitate(*parts, rate)
+            if step >= 0.9 * steps:
+                tail.append(loss)
+        return float(np.mean(tail)) if tail else math.nan
+
+    def _correct(self) -> float:
+        goals, _ = self.begin(self._rng, spread=True)
+        noise = push(self.loop, self.settings.push, self._rng)
+        episodes, alive = run_skill(
+            self.loop,
+            self.index,
+            self.agent.act,
+            goals,
+            self._rng,
+            noise,
+            labels=script(self.loop.task, self.index),
+        )
+        self._corrected.add(episodes.only(np.flatnonzero(alive)), self._rng)
+        return float((reached(self.loop.task, self.index, episodes) & alive).mean())
 
     def _explore(self) -> float:
         goals, _ = self.begin(self._rng, spread=True)
@@ -235,7 +290,7 @@ class SkillLearner:
 
     def seen(self) -> Float32Array:
         """Smallest and largest observations of demonstrations and experience, (2, n)."""
-        parts = [self.data.demos.obs, self.data.corrected.obs]
+        parts = [self.data.demos.obs, self._corrected.state()["obs"]]
         if len(self.experience):
             parts.append(self.experience.state()["obs"])
         rows = [part.reshape(-1, part.shape[-1]) for part in parts]
@@ -253,6 +308,7 @@ class SkillLearner:
             "rng": self._rng.bit_generator.state,
             "agent": self.agent.state(),
             "experience": self.experience.state(),
+            "corrected": self._corrected.state(),
             "best_actor": self._best_actor,
             "shaping": self.shaping.state() if self.shaping else None,
         }
@@ -264,6 +320,7 @@ class SkillLearner:
         self._rng.bit_generator.state = tree["rng"]
         self.agent.restore(tree["agent"])
         self.experience.restore(tree["experience"])
+        self._corrected.restore(tree["corrected"])
         self._best_actor = tree["best_actor"]
         if self.shaping:
             self.shaping.restore(tree["shaping"])

@@ -92,7 +92,7 @@ def test_losses_with_the_nearest_demonstrations_as_guides() -> None:
 
 def test_losses_with_the_imitating_policy_as_guide() -> None:
     dex = agent()
-    dex.imitate(batch(3), batch(4))
+    dex.imitate(batch(3), batch(4), 1e-3)
     guide = dex.actor.weights()
     dex.update(batch(1), batch(2))
     both = Pair.of(dex.actor, batch(1), batch(2))

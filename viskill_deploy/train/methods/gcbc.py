@@ -17,5 +17,7 @@ STEPS = 6000
 
 def learn(run: Run) -> TaskPolicy:
     """One policy for the whole task, from demonstrations alone."""
-    skill = dataclasses.replace(run.settings.skill, imitation_steps=STEPS, rounds=0)
+    skill = dataclasses.replace(
+        run.settings.skill, imitation_steps=STEPS, imitation_hindsight=0.8, rounds=0
+    )
     return learn_flat(run, "gcbc", skill)
