@@ -82,20 +82,6 @@ class Paths:
         """States at the end of the last phase."""
         return Motions(self.p[-1], self.v[-1], self.a[-1])
 
-    def extrema(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest position of every axis, (N, arms, 7) each, exact."""
-        lowest, highest = self.p.min(axis=0), self.p.max(axis=0)
-        v, a, j = self.v[:-1], self.a[:-1], self.jerk
-        root = np.sqrt(np.maximum(a * a - 2 * j * v, 0.0))
-        for sign in (-1.0, 1.0):  # moments in a phase at which the velocity passes zero
-            with np.errstate(divide="ignore", invalid="ignore"):
-                t = np.where(j == 0.0, -v / a, (sign * root - a) / j)
-                within = (t > 0.0) & (t < np.diff(self.time, axis=0))
-            t = np.where(within, t, 0.0)
-            turn = self.p[:-1] + t * (v + t * (a / 2 + t * j / 6))
-            lowest, highest = np.minimum(lowest, turn.min(0)), np.maximum(highest, turn.max(0))
-        return lowest, highest
-
     def sampled(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Positions and velocities at times (n,) or (n, N) within the motion, (n, N, arms, 7)."""
         since, p, v, a, j = self._at(times)

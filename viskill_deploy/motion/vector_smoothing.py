@@ -7,19 +7,15 @@ environments at once.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import ruckig
 
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.kinematics.model import tip_positions
-from viskill_deploy.motion.limits import PlanLimits
 from viskill_deploy.motion.smoothing import (
     ATTEMPTS,
-    AXES,
     DUST,
     DUST_S,
     LAST_FAST_ATTEMPT,
@@ -28,12 +24,11 @@ from viskill_deploy.motion.smoothing import (
     TIP_TOLERANCE,
     SegmentPlanner,
 )
-from viskill_deploy.motion.vector_paths import PHASES, Motions, Paths
+from viskill_deploy.motion.vector_paths import Motions, Paths
+from viskill_deploy.motion.vector_ruckig import Answers, Ruckigs
 
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
-BRAKE_PHASES = 2
-PROFILE_PHASES = PHASES - BRAKE_PHASES
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +60,7 @@ class VectorPlanner:
         self.cell, self.period_s = cell, period_s
         planner = SegmentPlanner(cell, period_s)
         self._tip_speed_m_s = planner.tip_speed_m_s
-        self._ruckigs = [_ArmRuckig(limits) for limits in planner.limits]
+        self._ruckigs = Ruckigs(planner.limits)
         self._lower = np.array([limits.lower for limits in planner.limits])
         self._upper = np.array([limits.upper for limits in planner.limits])
         self._fastest = np.array([limits.velocity for limits in planner.limits])
@@ -93,8 +88,10 @@ class VectorPlanner:
         for attempt in range(ATTEMPTS):
             if attempt >= LAST_FAST_ATTEMPT:
                 share[todo] = 0.0
-            wish = share[todo, None, None] * end_velocity[todo]
-            tried = self._calculated(start.rows(todo), goal[todo], wish, duration[todo])
+            wish = np.clip(
+                share[todo, None, None] * end_velocity[todo], -self._fastest, self._fastest
+            )
+            tried = self._ruckigs.calculate(start.rows(todo), goal[todo], wish, duration[todo])
             verdict = self._judged(tried, target[todo], share[todo], duration[todo])
             done = ~(verdict.slower | verdict.outside)
             if attempt == ATTEMPTS - 1:
@@ -122,45 +119,16 @@ class VectorPlanner:
         a = np.clip(a, -self._quickest, self._quickest)
         return Motions(start.p, v, a), np.where(stays, start.p, target)
 
-    def _calculated(
-        self, start: Motions, target: FloatArray, wish: FloatArray, minimum_s: FloatArray
-    ) -> _Tried:
-        """Ruckig's answers, each arm on its own."""
-        wish = np.clip(wish, -self._fastest, self._fastest)
-        lengths, jerks, durations = [], [], []
-        brakes: dict[tuple[int, int], tuple[list[list[float]], list[list[float]]]] = {}
-        lists = [x.tolist() for x in (start.p, start.v, start.a, target, wish)]
-        for env, (seconds, *rows) in enumerate(zip(minimum_s.tolist(), *lists, strict=True)):
-            for arm, (solver, *state) in enumerate(zip(self._ruckigs, *rows, strict=True)):
-                duration, length, jerk = solver.calculate(*state, seconds)
-                durations.append(duration)
-                lengths.append(length)
-                jerks.append(jerk)
-                if duration == duration and solver.brakes(length, duration):
-                    brakes[env, arm] = solver.read_brakes()
-        time, jerk_of = (
-            np.zeros((PHASES, *start.p.shape)),
-            np.zeros((PHASES, *start.p.shape)),
-        )
-        shape = (*start.p.shape, PROFILE_PHASES)
-        time[BRAKE_PHASES:] = np.moveaxis(np.array(lengths).reshape(shape), -1, 0)
-        jerk_of[BRAKE_PHASES:] = np.moveaxis(np.array(jerks).reshape(shape), -1, 0)
-        for (env, arm), (length, jerk) in brakes.items():
-            time[:BRAKE_PHASES, env, arm] = np.transpose(length)
-            jerk_of[:BRAKE_PHASES, env, arm] = np.transpose(jerk)
-        duration_of = np.array(durations).reshape(start.p.shape[:2])
-        return _Tried(Paths.integrated(start, time, jerk_of), duration_of)
-
     def _judged(
-        self, tried: _Tried, target: FloatArray, share: FloatArray, duration: FloatArray
+        self, tried: Answers, target: FloatArray, share: FloatArray, duration: FloatArray
     ) -> _Verdict:
         """What `SegmentPlanner.plan` would say to an attempt."""
         longest = tried.duration.max(axis=-1)
         sound = ~np.isnan(longest)
         late = sound & (longest > duration + 1e-9)
-        low, high = tried.paths.extrema()
-        crooked = sound & ~late & ~_are_direct(tried, low, high, target)
-        kept = ((low >= self._lower - 1e-9) & (high <= self._upper + 1e-9)).all(axis=(1, 2))
+        crooked = sound & ~late & ~_are_direct(tried, target)
+        inside = (tried.low >= self._lower - 1e-9) & (tried.high <= self._upper + 1e-9)
+        kept = inside.all(axis=(1, 2))
         outside = sound & ~late & ~crooked & (share > 0.0) & ~kept
         open_ = sound & ~late & ~crooked & ~outside
         excess = self._tip_speed(tried.paths, duration) / self._tip_speed_m_s
@@ -192,14 +160,6 @@ class VectorPlanner:
 
 
 @dataclass(frozen=True, slots=True)
-class _Tried:
-    """Ruckig's paths and their durations (N, arms), NaN where it found none."""
-
-    paths: Paths
-    duration: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
 class _Verdict:
     """What becomes of an attempt, (n,) each; `factor` is for those that shall be slower."""
 
@@ -209,60 +169,11 @@ class _Verdict:
     factor: FloatArray
 
 
-def _are_direct(tried: _Tried, low: FloatArray, high: FloatArray, target: FloatArray) -> BoolArray:
+def _are_direct(tried: Answers, target: FloatArray) -> BoolArray:
     """Whether no axis swings out farther than the speeds at the ends explain, (N,)."""
-    start, end, duration = tried.paths.p[0], tried.paths.end(), tried.duration[..., None]
-    speeds = np.abs(tried.paths.v[0]) + np.abs(end.v)
-    room = 0.5 * duration * speeds + 0.125 * duration**2 * np.abs(tried.paths.a[0]) + SWING
-    within = (low >= np.minimum(start, target) - room) & (high <= np.maximum(start, target) + room)
-    direct: BoolArray = within.all(axis=(1, 2))
+    p, v, a = (x[0] for x in (tried.paths.p, tried.paths.v, tried.paths.a))
+    duration, speeds = tried.duration[..., None], np.abs(v) + np.abs(tried.paths.v[-1])
+    room = 0.5 * duration * speeds + 0.125 * duration**2 * np.abs(a) + SWING
+    lowest, highest = np.minimum(p, target) - room, np.maximum(p, target) + room
+    direct: BoolArray = ((tried.low >= lowest) & (tried.high <= highest)).all(axis=(1, 2))
     return direct
-
-
-class _ArmRuckig:
-    """Ruckig for one arm, its objects kept from call to call."""
-
-    def __init__(self, limits: PlanLimits) -> None:
-        self._request = ruckig.InputParameter(AXES)
-        self._request.max_velocity = list(limits.velocity)
-        self._request.max_acceleration = list(limits.acceleration)
-        self._request.max_jerk = list(limits.jerk)
-        self._ruckig, self._trajectory = ruckig.Ruckig(AXES), ruckig.Trajectory(AXES)
-        self._profiles: list[Any] = []
-
-    def calculate(
-        self,
-        p: list[float],
-        v: list[float],
-        a: list[float],
-        target: list[float],
-        wish: list[float],
-        minimum_s: float,
-    ) -> tuple[float, list[list[float]], list[list[float]]]:
-        """Duration of the jerk-limited motion, and every axis' phases: lengths and jerks.
-
-        The duration is NaN where Ruckig finds no motion.
-        """
-        request = self._request
-        request.current_position, request.current_velocity = p, v
-        request.current_acceleration = a
-        request.target_position, request.target_velocity = target, wish
-        request.minimum_duration = minimum_s
-        try:
-            self._ruckig.calculate(request, self._trajectory)
-        except (ruckig.RuckigError, ValueError):
-            nothing = [[0.0] * PROFILE_PHASES] * AXES
-            return np.nan, nothing, nothing
-        self._profiles = profiles = self._trajectory.profiles[0]
-        lengths = [profile.t for profile in profiles]
-        return self._trajectory.duration, lengths, [profile.j for profile in profiles]
-
-    @staticmethod
-    def brakes(lengths: list[list[float]], duration: float) -> bool:
-        """Whether an axis first has to brake into its limits: its phases are too short."""
-        return min(map(sum, lengths)) < duration - 1e-9
-
-    def read_brakes(self) -> tuple[list[list[float]], list[list[float]]]:
-        """Lengths and jerks of the phases before every axis' profile."""
-        brakes = [profile.brake for profile in self._profiles]
-        return [brake.t for brake in brakes], [brake.j for brake in brakes]

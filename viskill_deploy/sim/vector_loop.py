@@ -174,10 +174,8 @@ class VectorLoop:
         wish[..., 6] = 0.0
         segments = self._planner.plan(motion, goal, wish, step_s)
         ok = reached & segments.planned
-        self._last.T_task_tip[run[ok]], self._last.jaw[run[ok]] = (
-            asked.T_task_tip[ok],
-            asked.jaw[ok],
-        )
+        moved = run[ok]
+        self._last.T_task_tip[moved], self._last.jaw[moved] = asked.T_task_tip[ok], asked.jaw[ok]
         self._run(run, segments, ok)
         self.alive[run[~ok]] = False
         return self.alive.copy()

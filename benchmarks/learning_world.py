@@ -1,0 +1,126 @@
+"""How fast episodes run side by side, beside the same episodes one by one, and where time goes.
+
+python benchmarks/learning_world.py [--task bipegtransfer] [--count 32] [--episodes 2] [--seed 0]
+
+All in one process and thread: physics, kinematics, smoothing, observation, scripted controller.
+Times are of the CPU. Both run in turns, skill by skill, so that a machine that changes its speed
+changes it for both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(threads, "1")  # before numpy is imported
+
+import numpy as np
+
+from viskill_deploy.sim import vector_loop, vector_task
+from viskill_deploy.sim.closed_loop import ClosedLoop
+from viskill_deploy.sim.tasks import SkillSpec, Task, load_task
+from viskill_deploy.sim.vector_loop import VectorLoop
+
+Goals = list[dict[str, np.ndarray[Any, np.dtype[np.float64]]]]
+
+
+class Stopwatch:
+    """CPU seconds by name, and simulated seconds and policy steps that were done in them."""
+
+    def __init__(self) -> None:
+        self.seconds: Counter[str] = Counter()
+
+    def watch(self, owner: object, method: str, name: str) -> None:
+        """Adds the time that calls of a method take to `name` from now on."""
+        original: Callable[..., Any] = getattr(owner, method)
+
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            start = time.process_time()
+            result = original(*args, **kwargs)
+            self.seconds[name] += time.process_time() - start
+            return result
+
+        setattr(owner, method, timed)
+
+
+def side_by_side(
+    loop: VectorLoop, skill: SkillSpec, goals: Goals, watch: Stopwatch
+) -> tuple[float, float]:
+    """Runs one skill everywhere; returns CPU and simulated seconds."""
+    names = [skill.name] * loop.count
+    wanted, simulated = np.array([goal[skill.name] for goal in goals]), 0.0
+    start, obs = time.process_time(), loop.observe()
+    for _ in range(skill.budget):
+        before = time.process_time()
+        actions = vector_task.scripted_actions(loop.task, names, obs, wanted)
+        watch.seconds["script"] += time.process_time() - before
+        loop.step(actions, [skill] * loop.count)
+        before = time.process_time()
+        obs = loop.observe()
+        watch.seconds["observation"] += time.process_time() - before
+        simulated += float(loop.stretch.sum()) * loop.task.cell.file.motion.step_s
+    return time.process_time() - start, simulated
+
+
+def one_by_one(loop: ClosedLoop, skill: SkillSpec, goals: Goals) -> float:
+    """Runs one skill of one episode; returns CPU seconds."""
+    start, obs = time.process_time(), loop.observe()
+    for _ in range(skill.budget):
+        obs = loop.step(loop.task.scripted_action(skill.name, obs, goals[0][skill.name]), skill)
+    return time.process_time() - start
+
+
+def measure(task: Task, count: int, episodes: int, seed: int) -> None:
+    loop, alone, watch = VectorLoop(task, count), ClosedLoop(task), Stopwatch()
+    watch.watch(vector_loop, "apply_actions", "waypoints")
+    watch.watch(vector_loop, "targets", "inverse kinematics")
+    watch.watch(loop._planner, "plan", "segments")
+    watch.watch(loop._physics, "run", "physics")
+    spent = peer = simulated = 0.0
+    done, resets = [], 0.0
+    for episode in range(episodes):
+        rngs = [np.random.default_rng((seed, episode, index)) for index in range(count)]
+        scenes = [task.sample_layout(rng, task.distributions[0]) for rng in rngs]
+        start = time.process_time()
+        loop.reset(dict(enumerate(scenes)))
+        resets += time.process_time() - start
+        rows = zip(loop.observe(), loop.scenes(), rngs, strict=True)
+        goals = [task.subgoals(obs, scene, rng) for obs, scene, rng in rows]
+        alone.reset(scenes[0])
+        for skill in task.skills:
+            seconds, passed = side_by_side(loop, skill, goals, watch)
+            spent, simulated = spent + seconds, simulated + passed
+            peer += one_by_one(alone, skill, goals)
+        done.append(loop.success().mean())
+    budget = sum(skill.budget for skill in task.skills)
+    steps, step_s = count * episodes * budget, task.cell.file.motion.step_s
+    rate, peer_rate = steps / spent, episodes * budget / peer
+    print(
+        f"{task.name}, {count} side by side, success {np.mean(done):.2f}: {rate:.0f} policy steps/s "
+        f"and core, {simulated / step_s / spent:.0f} of {step_s:g} s simulated; one by one "
+        f"{peer_rate:.0f}; ratio {rate / peer_rate:.2f}"
+    )
+    parts = {name: value / steps * 1e6 for name, value in watch.seconds.most_common()}
+    parts["rest"] = spent / steps * 1e6 - sum(parts.values())
+    print("  us a step: " + ", ".join(f"{name} {value:.0f}" for name, value in parts.items()))
+    print(f"  a reset: {resets / (count * episodes) * 1e3:.1f} ms of CPU, not counted above")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--task", default="bipegtransfer")
+    parser.add_argument("--count", type=int, nargs="+", default=[32])
+    parser.add_argument("--episodes", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    for count in options.count:
+        measure(load_task(options.task), count, options.episodes, options.seed)
+
+
+if __name__ == "__main__":
+    main()
