@@ -1,6 +1,6 @@
 """How fast episodes run side by side, beside the same episodes one by one, and where time goes.
 
-python benchmarks/learning_world.py [--task bipegtransfer] [--count 32] [--episodes 2] [--seed 0]
+OMP_NUM_THREADS=1 python benchmarks/learning_world.py [--task NAME] [--count 32] [--episodes 2]
 
 All in one process and thread: physics, kinematics, smoothing, observation, scripted controller.
 Times are of the CPU. Both run in turns, skill by skill, so that a machine that changes its speed
@@ -10,14 +10,10 @@ changes it for both.
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
-
-for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(threads, "1")  # before numpy is imported
 
 import numpy as np
 
@@ -101,8 +97,8 @@ def measure(task: Task, count: int, episodes: int, seed: int) -> None:
     steps, step_s = count * episodes * budget, task.cell.file.motion.step_s
     rate, peer_rate = steps / spent, episodes * budget / peer
     print(
-        f"{task.name}, {count} side by side, success {np.mean(done):.2f}: {rate:.0f} policy steps/s "
-        f"and core, {simulated / step_s / spent:.0f} of {step_s:g} s simulated; one by one "
+        f"{task.name}, {count} side by side, success {np.mean(done):.2f}: {rate:.0f} policy "
+        f"steps/s and core, {simulated / step_s / spent:.0f} of {step_s:g} s simulated; one by one "
         f"{peer_rate:.0f}; ratio {rate / peer_rate:.2f}"
     )
     parts = {name: value / steps * 1e6 for name, value in watch.seconds.most_common()}
