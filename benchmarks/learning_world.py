@@ -3,7 +3,7 @@
 OMP_NUM_THREADS=1 python benchmarks/learning_world.py [--task NAME] [--count 32] [--episodes 2]
 
 All in one process and thread: physics, kinematics, smoothing, observation, scripted controller.
-Times are of the CPU. Both run in turns, skill by skill, so that a machine that changes its speed
+Times are of the CPU. Both run in turns, step by step, so that a machine that changes its speed
 changes it for both.
 """
 
@@ -44,31 +44,29 @@ class Stopwatch:
         setattr(owner, method, timed)
 
 
-def side_by_side(
-    loop: VectorLoop, skill: SkillSpec, goals: Goals, watch: Stopwatch
-) -> tuple[float, float]:
-    """Runs one skill everywhere; returns CPU and simulated seconds."""
-    names = [skill.name] * loop.count
+def run_skill(
+    loop: VectorLoop, alone: ClosedLoop, skill: SkillSpec, goals: Goals, watch: Stopwatch
+) -> float:
+    """Runs one skill everywhere and alone, step by step in turns; returns simulated seconds."""
+    names, skills = [skill.name] * loop.count, [skill] * loop.count
     wanted, simulated = np.array([goal[skill.name] for goal in goals]), 0.0
-    start, obs = time.process_time(), loop.observe()
+    rows, row = loop.observe(), alone.observe()
     for _ in range(skill.budget):
-        before = time.process_time()
-        actions = vector_task.scripted_actions(loop.task, names, obs, wanted)
-        watch.seconds["script"] += time.process_time() - before
-        loop.step(actions, [skill] * loop.count)
-        before = time.process_time()
-        obs = loop.observe()
-        watch.seconds["observation"] += time.process_time() - before
+        start = time.process_time()
+        actions = vector_task.scripted_actions(loop.task, names, rows, wanted)
+        scripted = time.process_time()
+        loop.step(actions, skills)
+        stepped = time.process_time()
+        rows = loop.observe()
+        seen = time.process_time()
+        action = alone.task.scripted_action(skill.name, row, wanted[0])
+        row = alone.step(action, skill)
+        watch.seconds["script"] += scripted - start
+        watch.seconds["observation"] += seen - stepped
+        watch.seconds["side by side"] += seen - start
+        watch.seconds["one by one"] += time.process_time() - seen
         simulated += float(loop.stretch.sum()) * loop.task.cell.file.motion.step_s
-    return time.process_time() - start, simulated
-
-
-def one_by_one(loop: ClosedLoop, skill: SkillSpec, goals: Goals) -> float:
-    """Runs one skill of one episode; returns CPU seconds."""
-    start, obs = time.process_time(), loop.observe()
-    for _ in range(skill.budget):
-        obs = loop.step(loop.task.scripted_action(skill.name, obs, goals[0][skill.name]), skill)
-    return time.process_time() - start
+    return simulated
 
 
 def measure(task: Task, count: int, episodes: int, seed: int) -> None:
@@ -77,8 +75,8 @@ def measure(task: Task, count: int, episodes: int, seed: int) -> None:
     watch.watch(vector_loop, "targets", "inverse kinematics")
     watch.watch(loop._planner, "plan", "segments")
     watch.watch(loop._physics, "run", "physics")
-    spent = peer = simulated = 0.0
-    done, resets = [], 0.0
+    simulated = resets = 0.0
+    done = []
     for episode in range(episodes):
         rngs = [np.random.default_rng((seed, episode, index)) for index in range(count)]
         scenes = [task.sample_layout(rng, task.distributions[0]) for rng in rngs]
@@ -88,14 +86,12 @@ def measure(task: Task, count: int, episodes: int, seed: int) -> None:
         rows = zip(loop.observe(), loop.scenes(), rngs, strict=True)
         goals = [task.subgoals(obs, scene, rng) for obs, scene, rng in rows]
         alone.reset(scenes[0])
-        for skill in task.skills:
-            seconds, passed = side_by_side(loop, skill, goals, watch)
-            spent, simulated = spent + seconds, simulated + passed
-            peer += one_by_one(alone, skill, goals)
+        simulated += sum(run_skill(loop, alone, skill, goals, watch) for skill in task.skills)
         done.append(loop.success().mean())
-    budget = sum(skill.budget for skill in task.skills)
-    steps, step_s = count * episodes * budget, task.cell.file.motion.step_s
-    rate, peer_rate = steps / spent, episodes * budget / peer
+    budget = episodes * sum(skill.budget for skill in task.skills)
+    steps, step_s = count * budget, task.cell.file.motion.step_s
+    spent = watch.seconds.pop("side by side")
+    rate, peer_rate = steps / spent, budget / watch.seconds.pop("one by one")
     print(
         f"{task.name}, {count} side by side, success {np.mean(done):.2f}: {rate:.0f} policy "
         f"steps/s and core, {simulated / step_s / spent:.0f} of {step_s:g} s simulated; one by one "

@@ -96,11 +96,10 @@ class Paths:
     def _at(self, times: FloatArray) -> tuple[FloatArray, ...]:
         """Time since the start of the phase at each moment, and that phase's p, v, a and jerk."""
         t = times.reshape(len(times), -1, 1, 1)
-        phase = np.zeros((len(times), *self.p.shape[1:]), dtype=np.intp)
+        number = np.zeros((len(times), *self.p.shape[1:]), dtype=np.int8)
         for begin in self.time[1:-1]:
-            phase += t >= begin
+            number += (t >= begin).view(np.int8)
         size = self.p[0].size
-        phase *= size
-        phase += np.arange(size).reshape(self.p.shape[1:])
-        start, *state = (x.reshape(-1).take(phase) for x in (self.time, self.p, self.v, self.a))
-        return t - start, *state, self.jerk.reshape(-1).take(phase)
+        place = number * np.intp(size) + np.arange(size).reshape(self.p.shape[1:])
+        start, *state = (x.reshape(-1).take(place) for x in (self.time, self.p, self.v, self.a))
+        return t - start, *state, self.jerk.reshape(-1).take(place)
