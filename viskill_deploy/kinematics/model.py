@@ -101,17 +101,17 @@ def tip_positions(arm: ArmDescription, q: FloatArray) -> FloatArray:
     Returns:
         Base frame, (..., 3), m.
     """
-    x = y = z = np.zeros(q.shape[:-1])
+    tip = np.zeros((3, q[..., 0].size))
     for index in range(len(arm.joints) - 1, -1, -1):
-        joint, value = arm.joints[index], q[..., index]
+        joint, value = arm.joints[index], q[..., index].reshape(-1)
         if joint.type == "prismatic":
-            z = z + value
+            tip[2] += value
         else:
             c, s = np.cos(value), np.sin(value)
-            x, y = c * x - s * y, s * x + c * y
-        R = link_origin(joint)
-        x, y, z = (r[0] * x + r[1] * y + r[2] * z + r[3] for r in R[:3].tolist())
-    return np.stack([x, y, z], axis=-1)
+            tip[0], tip[1] = c * tip[0] - s * tip[1], s * tip[0] + c * tip[1]
+        T = link_origin(joint)
+        tip = T[:3, :3] @ tip + T[:3, 3:]
+    return np.moveaxis(tip.reshape(3, *q.shape[:-1]), 0, -1)
 
 
 def port_distances(arm: ArmDescription, q: FloatArray, port: FloatArray) -> FloatArray:

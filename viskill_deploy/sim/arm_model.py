@@ -1,9 +1,8 @@
 """One patient-side manipulator at joint level, as MuJoCo bodies built from its DH rows.
 
-Masses are small and compensated: the arm's inertia is each joint's `armature` of its
-`[joint.dynamics]` and its drive is a position + velocity servo with the joint's effort limit, so
-that an arm answers its setpoints as its file says and gravity does not act (a Classic PSM carries
-counterweights).
+Links have next to no mass: the arm's inertia is each joint's `armature` of its `[joint.dynamics]`
+and its drive is a position + velocity servo with the joint's effort limit, so that an arm answers
+its setpoints as its file says and gravity does not act (a Classic PSM carries counterweights).
 """
 
 from __future__ import annotations
@@ -18,7 +17,9 @@ from viskill_deploy.core.robot_files import Jaw, PrismaticJoint, RevoluteJoint
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.sim.materials import CONTACT_SOLIMP, CONTACT_SOLREF, FRICTION, Touch
 
-LINK_MASS_KG = 0.02
+LINK_MASS_KG = 1e-6
+"""Its weight bends no servo by a nanometre, so gravity need not be compensated link by link, which
+took a twentieth of a physics step."""
 SHAFT_RADIUS_M = 0.0042
 WRIST_RADIUS_M = 0.0025
 FINGER_THICKNESS_M = 0.0014
@@ -101,7 +102,6 @@ def _add_link(
         mass=LINK_MASS_KG,
         inertia=[1e-7, 1e-7, 1e-7],
         explicitinertial=True,
-        gravcomp=1.0,
     )
     armature, stiffness, damping, friction_loss, effort = joint.servo
     body.add_joint(
@@ -159,10 +159,9 @@ def _add_jaw(spec: mujoco.MjSpec, wrist: mujoco.MjsBody, name: str, cell_arm: Ce
     tip = wrist.add_body(
         name=f"{name}/tip",
         quat=quaternion(cell_arm.arm.tip_rotation),
-        mass=1e-3,
+        mass=LINK_MASS_KG,
         inertia=[1e-8, 1e-8, 1e-8],
         explicitinertial=True,
-        gravcomp=1.0,
     )
     tip.add_site(name=f"{name}/tip", size=[0.0005, 0.0005, 0.0005], group=4)
     jaw = cell_arm.arm.jaw
@@ -194,11 +193,10 @@ def _add_jaw(spec: mujoco.MjSpec, wrist: mujoco.MjsBody, name: str, cell_arm: Ce
 def _add_finger(tip: mujoco.MjsBody, name: str, sign: float, jaw: Jaw) -> None:
     finger = tip.add_body(
         name=name,
-        mass=1e-3,
+        mass=LINK_MASS_KG,
         ipos=[0, 0, jaw.finger_length_m / 2],
         inertia=[1e-8, 1e-8, 1e-8],
         explicitinertial=True,
-        gravcomp=1.0,
     )
     finger.add_joint(
         name=name,

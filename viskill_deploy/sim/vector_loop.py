@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from viskill_deploy.core.types import FloatArray, Scene, Waypoint
 from viskill_deploy.motion.resolve import waypoint_at
-from viskill_deploy.motion.vector_smoothing import Motions, Segments, VectorPlanner
+from viskill_deploy.motion.vector_paths import Motions
+from viskill_deploy.motion.vector_smoothing import Segments, VectorPlanner
 from viskill_deploy.motion.vector_waypoints import Waypoints, apply_actions, targets, tips
 from viskill_deploy.sim import vector_task
 from viskill_deploy.sim.tasks.base import SkillSpec, Task
@@ -173,10 +174,8 @@ class VectorLoop:
         wish[..., 6] = 0.0
         segments = self._planner.plan(motion, goal, wish, step_s)
         ok = reached & segments.planned
-        self._last.T_task_tip[run[ok]], self._last.jaw[run[ok]] = (
-            asked.T_task_tip[ok],
-            asked.jaw[ok],
-        )
+        moved = run[ok]
+        self._last.T_task_tip[moved], self._last.jaw[moved] = asked.T_task_tip[ok], asked.jaw[ok]
         self._run(run, segments, ok)
         self.alive[run[~ok]] = False
         return self.alive.copy()
@@ -186,8 +185,7 @@ class VectorLoop:
         for periods in np.unique(segments.periods[ok]).tolist():
             rows = np.flatnonzero(ok & (segments.periods == periods))
             times = np.arange(1, periods + 1) * self._period_s
-            p, v = segments.paths.rows(rows).sampled(times[None])
-            table = (np.moveaxis(x, -1, 1) for x in (p, v))
+            table = segments.paths.rows(rows).sampled(times)
             self.alive[self._physics.run(run[rows], *table)] = False
         end, moved = segments.paths.end(), run[ok]
         self._motion.p[moved] = end.p[ok]

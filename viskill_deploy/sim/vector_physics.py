@@ -114,14 +114,14 @@ class VectorPhysics:
 
         Args:
             which: the worlds, (n,).
-            positions: axis positions after each period, (n, periods, arms, 7).
-            velocities: axis velocities after each period, (n, periods, arms, 7).
+            positions: axis positions after each period, (periods, n, arms, 7).
+            velocities: axis velocities after each period, (periods, n, arms, 7).
 
         Returns:
             The worlds whose simulation failed.
         """
-        rows = np.concatenate([self._pending[which], controls(positions, velocities)], axis=1)
-        periods = positions.shape[1]
+        sent, periods = controls(positions, velocities).swapaxes(0, 1), len(positions)
+        rows = np.concatenate([self._pending[which], sent], axis=1)
         self._pending[which] = rows[:, periods:]
         rows = np.ascontiguousarray(rows[:, :periods].repeat(self.world.substeps, axis=1))
         warned = self._batch.warning[which].copy()

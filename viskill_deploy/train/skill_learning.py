@@ -3,8 +3,8 @@
 The learner alternates between runs of the skill in many environments and gradient steps. Runs begin
 where the script's earlier skills ended and where the learned ones did, and half of them are given
 subgoals that the script's plan would not choose. In rounds of correction the learner drives and the
-script says what it would have done (S. Ross et al., AISTATS 2011); in those after it, DEX learns
-from experience. Every few rounds the skill is tested without exploration; the best weights are kept.
+script says what it would have done (S. Ross et al., AISTATS 2011); after them DEX learns from
+experience. Every few rounds the skill is tested without exploration; the best weights are kept.
 """
 
 from __future__ import annotations
@@ -164,7 +164,8 @@ class SkillLearner:
 
     def advance(self) -> dict[str, float]:
         """One round; returns what there is to say about it. The first round imitates."""
-        s, line = self.settings, {"round": self.round}
+        s = self.settings
+        line: dict[str, float] = {"round": self.round}
         dex_rounds = self.round - s.corrections
         if self.round == 0:
             steps = s.imitation_steps if s.corrections else s.imitation_steps + s.polish_steps

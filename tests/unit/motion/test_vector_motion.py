@@ -8,7 +8,8 @@ from viskill_deploy.kinematics.model import forward_batch, tip_positions
 from viskill_deploy.motion.links import CellLinks
 from viskill_deploy.motion.resolve import resolve
 from viskill_deploy.motion.smoothing import AxisMotion, SegmentPlanner
-from viskill_deploy.motion.vector_smoothing import Motions, VectorPlanner
+from viskill_deploy.motion.vector_paths import Motions
+from viskill_deploy.motion.vector_smoothing import VectorPlanner
 from viskill_deploy.motion.vector_waypoints import Waypoints, apply_actions, targets, tips
 from viskill_deploy.motion.waypoints import ActionSpec, apply_action, start_waypoint
 
@@ -96,7 +97,7 @@ def test_segments_are_decided_and_shaped_as_each_cell_alone_would() -> None:
             p, v = segment.table(PERIOD_S)
             times = np.arange(1, len(p) + 1) * PERIOD_S
             row = segments.paths.rows(np.array([index]))
-            mine = [np.moveaxis(x[0], -1, 0) for x in row.sampled(times[None])]
+            mine = [x[:, 0] for x in row.sampled(times)]
             assert mine[0] == pytest.approx(p, abs=1e-12)
             assert mine[1] == pytest.approx(v, abs=1e-11)
             last = segment.at(segment.duration_s)

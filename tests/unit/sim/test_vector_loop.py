@@ -13,8 +13,9 @@ from viskill_deploy.sim.world import World, WorldOptions
 
 TASK = load_task("bipegtransfer")
 SKILLS = TASK.skills
-ROUNDING = 1e-9
-"""Kinematics side by side round differently; contact multiplies that, seen up to 1e-11."""
+ROUNDING = 1e-7
+"""Kinematics side by side round differently, by 1e-16. In contact that grows to what the solver of
+contacts leaves open: seen up to 2e-9 in whole episodes, 6e-12 with a solver tolerance of 1e-8."""
 
 CREEP_M = 1e-7
 """A block that slept is awake for ten physics steps after its moment is restored."""
