@@ -2,13 +2,13 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from viskill_deploy.sim.vector_loop import VectorLoop
 
 from viskill_deploy.core.errors import KinematicsError, MotionError
 from viskill_deploy.core.types import FloatArray, Scene
 from viskill_deploy.sim import vector_task
 from viskill_deploy.sim.closed_loop import ClosedLoop
 from viskill_deploy.sim.tasks import SkillSpec, Task, load_task
+from viskill_deploy.sim.vector_loop import VectorLoop
 from viskill_deploy.sim.world import World, WorldOptions
 
 TASK = load_task("bipegtransfer")

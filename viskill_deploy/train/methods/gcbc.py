@@ -18,6 +18,6 @@ STEPS = 6000
 def learn(run: Run) -> TaskPolicy:
     """One policy for the whole task, from demonstrations alone."""
     skill = dataclasses.replace(
-        run.settings.skill, imitation_steps=STEPS, imitation_hindsight=0.8, rounds=0
+        run.settings.skill, imitation_steps=STEPS, polish_steps=0, imitation_hindsight=0.8, rounds=0
     )
     return learn_flat(run, "gcbc", skill)
