@@ -156,12 +156,15 @@ class Dex:
         return 2.0 * ((away - q).mean() + (a**2).mean())
 
     def _wished(self, half: int, x: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-        """What would have been demonstrated: advice for experience, the action itself behind."""
+        """What would have been demonstrated in these states, for these goals.
+
+        The imitating policy is asked about all of them: for a goal in hindsight, the action that was
+        recorded is not what it would do.
+        """
         if self.settings.guidance == "imitation":
-            advice = torch.tanh(self._guide.head(x[:half]))
-        else:
-            demo = x[half:], action[half:]
-            advice = propagated_action(x[:half], *demo, self.settings.neighbours)
+            return torch.tanh(self._guide.head(x))
+        demo = x[half:], action[half:]
+        advice = propagated_action(x[:half], *demo, self.settings.neighbours)
         return torch.cat([advice, action[half:]])
 
     def state(self) -> dict[str, Any]:

@@ -50,6 +50,7 @@ class SkillSettings:
         test_lots: lots of `environments` episodes in a test.
         enough: a test counts as passed from here on.
         passes: tests passed in a row after which learning ends.
+        patience: tests without a better result after which it ends, too.
         push: largest standard deviation by which arms are pushed in rounds of correction.
         subgoal_spread_m: subgoals of half of the runs are moved by up to this on each axis.
         learned_starts: part of the runs that begin where the learned earlier skills ended.
@@ -68,6 +69,7 @@ class SkillSettings:
     test_lots: int = 1
     enough: float = 0.99
     passes: int = 2
+    patience: int = 3
     push: float = 0.15
     subgoal_spread_m: float = 0.010
     learned_starts: float = 0.5
@@ -138,6 +140,7 @@ class SkillLearner:
     round: int = 0
     best: float = -1.0
     passed: int = 0
+    failed: int = 0
     history: list[dict[str, float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -159,8 +162,9 @@ class SkillLearner:
     @property
     def finished(self) -> bool:
         """Whether there is nothing left to do."""
-        dex_rounds = self.round - 1 - self.settings.corrections
-        return dex_rounds >= self.settings.rounds or self.passed >= self.settings.passes
+        s = self.settings
+        dex_rounds = self.round - 1 - s.corrections
+        return dex_rounds >= s.rounds or self.passed >= s.passes or self.failed >= s.patience
 
     def advance(self) -> dict[str, float]:
         """One round; returns what there is to say about it. The first round imitates."""
@@ -254,6 +258,7 @@ class SkillLearner:
             episodes, alive = run_skill(self.loop, self.index, self.agent.act, goals)
             rates.append((reached(self.loop.task, self.index, episodes) & alive).mean())
         rate = float(np.mean(rates))
+        self.failed = 0 if rate > self.best else self.failed + 1
         if rate >= self.best:
             self.best, self._best_actor = rate, state_of(self.agent.actor)
         self.passed = self.passed + 1 if rate >= self.settings.enough else 0
@@ -305,6 +310,7 @@ class SkillLearner:
             "round": self.round,
             "best": self.best,
             "passed": self.passed,
+            "failed": self.failed,
             "history": self.history,
             "rng": self._rng.bit_generator.state,
             "agent": self.agent.state(),
@@ -316,7 +322,8 @@ class SkillLearner:
 
     def restore(self, tree: dict[str, Any]) -> None:
         """Takes over what `state` gave."""
-        self.round, self.best, self.passed = tree["round"], tree["best"], tree["passed"]
+        self.round, self.best = tree["round"], tree["best"]
+        self.passed, self.failed = tree["passed"], tree["failed"]
         self.history = tree["history"]
         self._rng.bit_generator.state = tree["rng"]
         self.agent.restore(tree["agent"])
