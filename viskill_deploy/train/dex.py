@@ -158,8 +158,8 @@ class Dex:
     def _wished(self, half: int, x: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
         """What would have been demonstrated in these states, for these goals.
 
-        The imitating policy is asked about all of them: for a goal in hindsight, the action that was
-        recorded is not what it would do.
+        The imitating policy is asked about all of them: the action that was recorded is not what it
+        would do for a goal in hindsight.
         """
         if self.settings.guidance == "imitation":
             return torch.tanh(self._guide.head(x))

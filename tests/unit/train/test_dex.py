@@ -48,7 +48,7 @@ def q_of(critic: Network, x: np.ndarray, a: np.ndarray) -> np.ndarray:
 
 
 def by_hand(
-    dex: Dex, both: Pair, advice: np.ndarray, next_advice: np.ndarray
+    dex: Dex, both: Pair, wished: np.ndarray, wished_next: np.ndarray
 ) -> tuple[float, float]:
     s = dex.settings
     x, next_x = both.x.numpy(), both.next_x.numpy()
