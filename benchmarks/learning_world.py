@@ -1,6 +1,6 @@
 """How fast episodes run side by side, beside the same episodes one by one, and where time goes.
 
-OMP_NUM_THREADS=1 python benchmarks/learning_world.py [--task NAME] [--count 32] [--episodes 2]
+OMP_NUM_THREADS=1 python benchmarks/learning_world.py [--task NAME] [--count 32] [--bystanders]
 
 All in one process and thread: physics, kinematics, smoothing, observation, scripted controller.
 Times are of the CPU. Both run in turns, step by step, so that a machine that changes its speed
@@ -69,8 +69,9 @@ def run_skill(
     return simulated
 
 
-def measure(task: Task, count: int, episodes: int, seed: int) -> None:
-    loop, alone, watch = VectorLoop(task, count), ClosedLoop(task), Stopwatch()
+def measure(task: Task, count: int, episodes: int, seed: int, bystanders: bool) -> None:
+    loop, alone = VectorLoop(task, count, bystanders=bystanders), ClosedLoop(task)
+    watch = Stopwatch()
     watch.watch(vector_loop, "apply_actions", "waypoints")
     watch.watch(vector_loop, "targets", "inverse kinematics")
     watch.watch(loop._planner, "plan", "segments")
@@ -109,9 +110,11 @@ def main() -> None:
     parser.add_argument("--count", type=int, nargs="+", default=[32])
     parser.add_argument("--episodes", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--bystanders", action="store_true", help="simulate what is not moved, too")
     options = parser.parse_args()
+    task = load_task(options.task)
     for count in options.count:
-        measure(load_task(options.task), count, options.episodes, options.seed)
+        measure(task, count, options.episodes, options.seed, options.bystanders)
 
 
 if __name__ == "__main__":

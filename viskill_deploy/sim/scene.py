@@ -20,7 +20,10 @@ LONGEST_STEP_S = 0.004
 
 
 def build_model(
-    cell: CellDescription, timestep_s: float = LONGEST_STEP_S, friction: bool = False
+    cell: CellDescription,
+    timestep_s: float = LONGEST_STEP_S,
+    friction: bool = False,
+    only: str | None = None,
 ) -> mujoco.MjModel:
     """The compiled model of a cell. World frame = task frame.
 
@@ -28,6 +31,7 @@ def build_model(
         cell: arms, board and what lies on it.
         timestep_s: physics step, s.
         friction: whether arm joints have the Coulomb friction of their files.
+        only: name of the one free thing to have; all of them by default.
 
     Raises:
         DataFileError: an arm's joint has no `[joint.dynamics]`.
@@ -44,7 +48,17 @@ def build_model(
         add_arm(spec, arm, friction)
     if cell.file.block is not None:
         add_blocks(spec, cell.file.block)
+    if only is not None:
+        _leave_out_others(spec, only)
     return spec.compile()
+
+
+def _leave_out_others(spec: mujoco.MjSpec, only: str) -> None:
+    """Takes the free things with other names out of a model under construction."""
+    for body in list(spec.worldbody.bodies):
+        free = any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+        if free and body.name != only:
+            spec.delete(body)
 
 
 def _set_options(spec: mujoco.MjSpec, timestep_s: float) -> None:

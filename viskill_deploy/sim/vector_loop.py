@@ -35,6 +35,7 @@ class EpisodeState:
         T_task_tip: tips of the waypoint commanded last, (arms, 4, 4).
         jaw: its jaws, (arms,) rad.
         pending: controls that are still on their way, (delay periods, 2 axes).
+        aside: poses of things that are not simulated, (things, 4, 4); the others' mean nothing.
         active: name of the object to manipulate.
         goal: where it has to go, task frame, (3,) m.
         flags: the task's contact flags, (k,).
@@ -45,6 +46,7 @@ class EpisodeState:
     T_task_tip: FloatArray
     jaw: FloatArray
     pending: FloatArray
+    aside: FloatArray
     active: str
     goal: FloatArray
     flags: FloatArray
@@ -57,6 +59,8 @@ class VectorLoop:
         task: what to do.
         count: number of environments.
         options: of their worlds; noise has to be off. Perfect ones at 4 ms by default.
+        bystanders: whether their worlds hold the free things that are not to be moved; quicker and
+            the same without, as long as nothing would have touched them (see `VectorPhysics`).
 
     Attributes:
         task, count: as given.
@@ -65,9 +69,15 @@ class VectorLoop:
         stretch: how much longer than meant each one's last step took, (count,).
     """
 
-    def __init__(self, task: Task, count: int, options: WorldOptions | None = None) -> None:
+    def __init__(
+        self,
+        task: Task,
+        count: int,
+        options: WorldOptions | None = None,
+        bystanders: bool = True,
+    ) -> None:
         self.task, self.count = task, count
-        self._physics = VectorPhysics(task.cell, count, options or WorldOptions())
+        self._physics = VectorPhysics(task.cell, count, options or WorldOptions(), bystanders)
         self._period_s = self._physics.world.options.period_s
         self._planner = VectorPlanner(task.cell, self._period_s)
         home = self._physics.world.home
@@ -110,11 +120,10 @@ class VectorLoop:
         may creep by less than 0.1 um. All else goes on as it would have.
         """
         self._physics.restore(
-            {index: state.physics for index, state in states.items()},
-            {index: state.pending for index, state in states.items()},
+            {i: (state.physics, state.pending, state.aside) for i, state in states.items()},
+            {i: (state.active, state.goal) for i, state in states.items()},
         )
         for index, state in states.items():
-            self._physics.attend(index, state.active, state.goal)
             self._begin(index, state.motion, state.T_task_tip, state.jaw)
             self._flags[index] = state.flags
 
@@ -126,21 +135,23 @@ class VectorLoop:
 
     def save(self, index: int) -> EpisodeState:
         """The present moment of an environment."""
-        motion, physics = self._motion, self._physics
+        motion, (physics, pending, aside) = self._motion, self._physics.save(index)
+        active, goal = self._physics.active(index)
         return EpisodeState(
-            physics.state[index].copy(),
+            physics,
             np.stack([motion.p[index], motion.v[index], motion.a[index]]),
             self._last.T_task_tip[index].copy(),
             self._last.jaw[index].copy(),
-            physics.pending(index),
-            physics.active(index),
-            physics.goal[index],
+            pending,
+            aside,
+            active,
+            goal,
             self._flags_of(index),
         )
 
     def observe(self) -> FloatArray:
         """What policies see now, (count, n)."""
-        jaws = self._physics.axes[..., 6]
+        jaws = self._physics.axes()[..., 6]
         return vector_task.observe(self.task, self._measured(), jaws, self._physics.scenes())
 
     def step(self, actions: FloatArray, skills: Sequence[SkillSpec]) -> BoolArray:
@@ -219,7 +230,7 @@ class VectorLoop:
 
     def goals(self) -> FloatArray:
         """Where the active objects have to go, (count, 3) m."""
-        return self._physics.goal
+        return self._physics.goals()
 
     def waypoint(self, index: int) -> Waypoint:
         """The waypoint commanded last in an environment."""
@@ -228,5 +239,5 @@ class VectorLoop:
     def _measured(self) -> FloatArray:
         """T_task_tip of every arm as measured, (count, arms, 4, 4)."""
         if self._tips is None:
-            self._tips = tips(self.task.cell, self._physics.axes[..., :6])
+            self._tips = tips(self.task.cell, self._physics.axes()[..., :6])
         return self._tips

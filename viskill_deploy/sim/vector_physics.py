@@ -1,20 +1,23 @@
-"""The physics of many worlds in one thread: MuJoCo's batch behind the words of `World`."""
+"""The physics of many environments in one thread, whatever things they hold."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TypeVar
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
-from mujoco.batch import Batch, SimulationError
 
 from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.errors import ViskillError
 from viskill_deploy.core.types import ActiveObject, FloatArray, Scene
 from viskill_deploy.sim.vector_scenes import Scenes, ThingPoses
+from viskill_deploy.sim.vector_worlds import IntArray, Worlds
 from viskill_deploy.sim.world import World, WorldOptions, controls
 
-IntArray = npt.NDArray[np.intp]
+V = TypeVar("V")
+EVERYTHING = ""
+"""Kind of the worlds that hold every thing; others are called after their active object."""
 
 
 class VectorPhysics:
@@ -24,55 +27,55 @@ class VectorPhysics:
         cell: the cell.
         count: number of worlds.
         options: as of `World`; noise has to be off.
+        bystanders: whether a world holds the free things that are not its active object. Without
+            them a step is up to twice as quick and the same to the last bit, as long as nothing
+            would have touched one; they are then seen where the scene of the reset had put them.
 
     Attributes:
-        world: one world of the same kind, which lends its model and its knowledge of it.
-        state: MuJoCo's integration state of every world, (N, size).
+        world: a world that holds everything.
 
     Raises:
         ValueError: noise is asked for.
     """
 
-    def __init__(self, cell: CellDescription, count: int, options: WorldOptions) -> None:
+    def __init__(
+        self, cell: CellDescription, count: int, options: WorldOptions, bystanders: bool = True
+    ) -> None:
         if max(options.joint_noise_rad, options.joint_noise_m, options.object_noise_m) > 0.0:
             raise ValueError("worlds side by side are without noise; set the noises to 0")
-        self.world = World(cell, options)
-        self._batch = Batch(self.world.model, count, nthread=1, persistent=True)
-        self._poses = ThingPoses(self.world.model, self.world.things)
-        self._qpos, self._time = self._batch.bind("qpos"), self._batch.bind("time")
-        self._joints = self.world.arm_qpos
-        self.state: FloatArray = self._batch.state
+        self.world, self.count, self._bystanders = World(cell, options), count, bystanders
+        self._groups: dict[str, Worlds] = {}
+        if bystanders:
+            self._groups[EVERYTHING] = Worlds(self.world, count)
+        self._active = [(*self.world.things, "")[0]] * count
+        self._started: npt.NDArray[np.bool_] = np.zeros(count, dtype=bool)
+        self._goal: FloatArray = np.zeros((count, 3))
         size = 2 * self.world.home.size
         self._pending: FloatArray = np.zeros((count, options.delay_periods, size))
-        self._active = [self.world.things[0]] * count if self.world.things else [""] * count
-        self._goal: FloatArray = np.zeros((count, 3))
+        parked = ThingPoses(self.world.model, self.world.things)(self.world.model.qpos0[None])
+        self._parked: FloatArray = parked[0]
+        self._aside: FloatArray = parked.repeat(count, axis=0)
+        self._members: dict[str, IntArray] | None = None
 
-    @property
     def axes(self) -> FloatArray:
         """Positions of every arm's six joints and its jaw, (N, arms, 7), rad and m."""
-        q = self._qpos[:, self._joints]
-        q[..., 6] += q[..., 7]
-        axes: FloatArray = q[..., :7]
+        axes = np.repeat(self.world.home[None], self.count, axis=0)
+        for worlds, which in self._running():
+            axes[which] = worlds.axes(which)
         return axes
 
-    @property
-    def goal(self) -> FloatArray:
+    def goals(self) -> FloatArray:
         """Where the active objects have to go, (N, 3) m."""
         return self._goal.copy()
 
-    def active(self, index: int) -> str:
-        """Name of a world's active object."""
-        return self._active[index]
-
-    def pending(self, index: int) -> FloatArray:
-        """Controls of a world that are still on their way, (delay periods, 2 axes)."""
-        rows: FloatArray = self._pending[index].copy()
-        return rows
-
     def scenes(self) -> Scenes:
         """Where the things are."""
-        poses, names = self._poses(self._qpos), self._poses.names
-        return Scenes(self._time.copy(), names, poses, tuple(self._active), self.goal)
+        names, poses, times = self.world.things, self._aside.copy(), np.zeros(self.count)
+        for worlds, which in self._running():
+            columns = [names.index(name) for name in worlds.world.things]
+            poses[which[:, None], columns] = worlds.poses(which)
+            times[which] = worlds.times(which)
+        return Scenes(times, names, poses, tuple(self._active), self.goals())
 
     def reset(self, scenes: Mapping[int, Scene], axes: Mapping[int, FloatArray]) -> None:
         """`World.reset` of some worlds.
@@ -80,34 +83,38 @@ class VectorPhysics:
         Raises:
             ViskillError: a scene names an object that the worlds do not have.
         """
-        if not scenes:
-            return
-        rows = []
         for index, scene in scenes.items():
-            self.world.place(scene, axes.get(index))
-            rows.append(self.world.save())
-            self._pending[index] = self.world.data.ctrl
-            self.attend(index, scene.active, scene.goal)
-        which = np.array(list(scenes))
-        self._batch.reset(which, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self.state[which] = rows
-        self._batch.step(which, nstep=self.world.settle_steps)
-        self._time[which] = 0.0
+            self._check(scene)
+            self._attend(index, scene.active, scene.goal)
+            self._aside[index] = self._parked
+            for thing in scene.objects:
+                self._aside[index, self.world.things.index(thing.name)] = thing.T_task_object
+            start = axes.get(index, self.world.home)
+            self._pending[index] = controls(start, np.zeros_like(start))
+        for worlds, mine in self._by_kind(scenes):
+            names = worlds.world.things
+            worlds.reset({index: _with_only(scene, names) for index, scene in mine}, axes)
 
-    def restore(self, states: Mapping[int, FloatArray], pending: Mapping[int, FloatArray]) -> None:
-        """`World.restore` of some worlds, whatever they did before."""
-        if not states:
-            return
-        which = np.array(list(states))
-        self._batch.reset(which, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self.state[which] = list(states.values())
-        self._pending[which] = [pending[index] for index in states]
-        self._batch.forward(which)
-        self.state[which] = list(states.values())
+    def save(self, index: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Integration state, controls that are on their way, and poses of things not simulated."""
+        state = self._group(self._kind(index)).state[index]
+        return state.copy(), self._pending[index].copy(), self._aside[index].copy()
 
-    def attend(self, index: int, active: str, goal: FloatArray) -> None:
-        """Says which thing of a world counts, and where it has to go."""
-        self._active[index], self._goal[index] = active, goal
+    def active(self, index: int) -> tuple[str, FloatArray]:
+        """Name of a world's active object, and where it has to go."""
+        return self._active[index], self._goal[index].copy()
+
+    def restore(
+        self,
+        saved: Mapping[int, tuple[FloatArray, FloatArray, FloatArray]],
+        active: Mapping[int, tuple[str, FloatArray]],
+    ) -> None:
+        """`World.restore` of some worlds, whatever they did before, from `save` and `active`."""
+        for index, (_, pending, aside) in saved.items():
+            self._attend(index, *active[index])
+            self._pending[index], self._aside[index] = pending, aside
+        for worlds, mine in self._by_kind(saved):
+            worlds.restore({index: state for index, (state, _, _) in mine})
 
     def run(self, which: IntArray, positions: FloatArray, velocities: FloatArray) -> list[int]:
         """Lets some worlds pass a segment of the same length.
@@ -123,21 +130,59 @@ class VectorPhysics:
         sent, periods = controls(positions, velocities).swapaxes(0, 1), len(positions)
         rows = np.concatenate([self._pending[which], sent], axis=1)
         self._pending[which] = rows[:, periods:]
-        rows = np.ascontiguousarray(rows[:, :periods].repeat(self.world.substeps, axis=1))
-        warned = self._batch.warning[which].copy()
-        failed: set[int] = set()
-        try:
-            self._batch.rollout(rows.shape[1], rows, record=(), ids=which)
-        except SimulationError as error:
-            failed.update(int(index) for index in error.ids)
-        worse = (self._batch.warning[which] != warned).reshape(len(which), -1).any(axis=1)
-        return sorted(failed | set(which[worse].tolist()))
+        failed: list[int] = []
+        for worlds, members in self._running():
+            mine = np.isin(which, members)
+            if mine.any():
+                failed += worlds.run(which[mine], rows[mine, :periods])
+        return failed
 
     def active_objects(self, which: Sequence[int]) -> list[ActiveObject]:
         """The true state of the active objects of some worlds, contacts of the last step."""
-        found = []
-        for index in which:
-            self._batch.get_data(index, self.world.data)
-            self.world.attend(self._active[index], self._goal[index])
-            found.append(self.world.active_object())
-        return found
+        return [
+            self._group(self._kind(index)).active_object(
+                index, self._active[index], self._goal[index]
+            )
+            for index in which
+        ]
+
+    def _check(self, scene: Scene) -> None:
+        for name in (scene.active, *(thing.name for thing in scene.objects)):
+            if name not in self.world.things:
+                known = ", ".join(self.world.things) or "none"
+                raise ViskillError(f"no object {name!r} in this world; it has: {known}")
+
+    def _attend(self, index: int, active: str, goal: FloatArray) -> None:
+        self._active[index], self._goal[index], self._started[index] = active, goal, True
+        self._members = None
+
+    def _kind(self, index: int) -> str:
+        return EVERYTHING if self._bystanders else self._active[index]
+
+    def _group(self, kind: str) -> Worlds:
+        """The worlds of a kind, made when the first of them is needed."""
+        if kind not in self._groups:
+            world = World(self.world.cell, self.world.options, only=kind)
+            self._groups[kind] = Worlds(world, self.count)
+        return self._groups[kind]
+
+    def _running(self) -> list[tuple[Worlds, IntArray]]:
+        """Every kind's worlds, and which of them are in use."""
+        if self._members is None:
+            kinds = np.array([self._kind(index) for index in range(self.count)])
+            used = dict.fromkeys(kinds[self._started].tolist())
+            self._members = {kind: np.flatnonzero(self._started & (kinds == kind)) for kind in used}
+        return [(self._group(kind), which) for kind, which in self._members.items()]
+
+    def _by_kind(self, values: Mapping[int, V]) -> list[tuple[Worlds, list[tuple[int, V]]]]:
+        """Values by environment, those of one kind together."""
+        sorted_: dict[str, list[tuple[int, V]]] = {}
+        for index, value in values.items():
+            sorted_.setdefault(self._kind(index), []).append((index, value))
+        return [(self._group(kind), mine) for kind, mine in sorted_.items()]
+
+
+def _with_only(scene: Scene, names: Sequence[str]) -> Scene:
+    """A scene without the things that have other names."""
+    objects = tuple(thing for thing in scene.objects if thing.name in names)
+    return Scene(scene.stamp_s, objects, scene.active, scene.goal)

@@ -87,6 +87,7 @@ class World:
         cell: the cell.
         options: period, noise, delay.
         seed: of the measurement noise.
+        only: name of the one free thing to have; all of them by default.
 
     Attributes:
         cell: the cell.
@@ -96,12 +97,16 @@ class World:
     """
 
     def __init__(
-        self, cell: CellDescription, options: WorldOptions | None = None, seed: int = 0
+        self,
+        cell: CellDescription,
+        options: WorldOptions | None = None,
+        seed: int = 0,
+        only: str | None = None,
     ) -> None:
         self.cell, self.options = cell, options or WorldOptions()
         self.substeps: int = math.ceil(self.options.period_s / LONGEST_STEP_S - 1e-9)
         self.model = build_model(
-            cell, self.options.period_s / self.substeps, self.options.joint_friction
+            cell, self.options.period_s / self.substeps, self.options.joint_friction, only
         )
         self.data = mujoco.MjData(self.model)
         self._arms = [_ArmIndex(self.model, arm) for arm in cell.arms]

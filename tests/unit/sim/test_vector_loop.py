@@ -3,7 +3,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from viskill_deploy.core.errors import KinematicsError, MotionError
+from viskill_deploy.core.errors import KinematicsError, MotionError, ViskillError
 from viskill_deploy.core.types import FloatArray, Scene
 from viskill_deploy.sim import vector_task
 from viskill_deploy.sim.closed_loop import ClosedLoop
@@ -81,6 +81,35 @@ def test_whole_scripted_episodes_equal_those_of_the_closed_loop() -> None:
         assert np.array_equal(loop.flags(), np.array(flags, dtype=float))
     assert loop.success().all()
     assert all(one.success() for one in alone)
+
+
+def test_without_bystanders_episodes_are_the_same_while_nothing_touches_one() -> None:
+    """Layouts with different active blocks, one of them restored into another environment."""
+    seeds = (0, 1, 2, 4)
+    loop, goals = start(seeds)
+    assert len({scene.active for scene in loop.scenes()}) > 1
+    lean = VectorLoop(TASK, len(seeds), bystanders=False)
+    lean.reset(layouts(seeds))
+    for skill in SKILLS:
+        for _ in range(skill.budget):
+            advance(loop, goals, skill, 1)
+            advance(lean, goals, skill, 1)
+        assert lean.observe() == pytest.approx(loop.observe(), abs=ROUNDING)
+        assert np.array_equal(lean.flags(), loop.flags())
+    assert lean.success().all()
+    moment, seen = lean.save(0), lean.observe()[0]
+    lean.restore({3: moment})
+    assert np.array_equal(lean.observe()[3], seen)
+    assert lean.scenes()[3].active == lean.scenes()[0].active
+    for one, other in zip(lean.scenes()[3].objects, loop.scenes()[0].objects, strict=True):
+        assert one.T_task_object == pytest.approx(other.T_task_object, abs=2e-3)
+
+
+def test_a_thing_that_the_world_does_not_have_is_refused() -> None:
+    scene = Scene(0.0, (), "needle", np.zeros(3))
+    for bystanders in (True, False):
+        with pytest.raises(ViskillError, match="block0"):
+            VectorLoop(TASK, 1, bystanders=bystanders).reset({0: scene})
 
 
 def test_episodes_do_not_depend_on_their_neighbours_or_their_number() -> None:
