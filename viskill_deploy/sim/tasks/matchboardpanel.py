@@ -30,6 +30,9 @@ LETTER_SPREAD_M = (0.002, 0.004)
 DROP_M = 0.0005
 """A letter starts this far above the table."""
 
+JAW_OPEN_RAD = 0.7
+"""As in the reference: no peg stands beside what the jaw takes hold of."""
+
 RAISE_NOISE_M = 0.004
 SLIDE_NOISE_M = 0.0005
 OPENING_M = 0.075
@@ -83,7 +86,7 @@ class MatchBoardPanel:
     letter: Letter
     name: str = "matchboardpanel"
     skills: tuple[SkillSpec, ...] = SKILLS
-    action: ActionSpec = field(default_factory=ActionSpec)
+    action: ActionSpec = field(default_factory=lambda: ActionSpec(jaw_open_rad=JAW_OPEN_RAD))
     observation_layout: Layout = OBSERVATION
     goal_layout: Layout = GOAL
     distributions: tuple[str, ...] = ("reference", "wide")

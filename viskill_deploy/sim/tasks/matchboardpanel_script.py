@@ -2,7 +2,7 @@
 
 Which phase a skill is in is read off what is seen: where the arm stands to the handle or to the
 letter, how far the door has gone, how far the jaw is open. A jaw on a letter's stroke stands at
-about 0.2 rad, an open one at 0.5, an empty closed one at 0. Vectors are (..., n), for any number of
+about 0.15 rad, an open one at 0.7, an empty closed one at 0. Vectors are (..., n), for any number of
 worlds at once.
 """
 
@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.motion.waypoints import ActionSpec
+from viskill_deploy.sim.letters import GRASP_YAW_RAD
 
 Flags = npt.NDArray[np.bool_]
 
@@ -25,6 +26,8 @@ LIFT_M = 0.025
 """How far a letter is lifted: over the handles of closed doors."""
 LOWERED_M = 0.0004
 """Height above rest at which the letter is let go."""
+AT_CELL_M = 0.0025
+"""How well the letter is over the middle of its cell when it is let go: it has 6 mm of room."""
 
 PUSH_M = 0.0104
 """Height of the pivot over a handle that the closed jaw pushes at the knob."""
@@ -40,10 +43,11 @@ STEP_M = 0.008
 YAW_STEP_RAD = 0.3
 OPEN, CLOSE = 0.5, -0.5
 
-HELD_JAW_RAD = (0.05, 0.36)
-OPEN_JAW_RAD = 0.42
-AT_XY_M, AT_Z_M, AT_YAW_RAD = 0.0013, 0.0012, math.radians(6.0)
-"""How well a jaw stands over a stroke when it closes."""
+HELD_JAW_RAD = (0.05, 0.45)
+AT_ACROSS_M, AT_ALONG_M, AT_Z_M, AT_YAW_RAD = 0.0018, 0.0012, 0.0012, math.radians(6.0)
+"""How well a jaw stands over a stroke when it closes: across and along the stroke, in height."""
+NEAR = 0.7
+"""Part of that within which it comes all the way down."""
 AT_KNOB_M = 0.002
 """How far aside a jaw may push a knob: it is 2.8 mm wide, the knob 2.5 mm."""
 AT_KNOB_LOW_M, AT_KNOB_HIGH_M = -0.0012, 0.002
@@ -154,11 +158,17 @@ def _grasp(seen: Seen, goal: FloatArray) -> Move:
     place[..., 2] += GRASP_M
     off = place - seen.position
     yaw = _nearest_yaw(seen.frame_yaw)
-    off_axis = np.hypot(off[..., 0], off[..., 1])
+    c, s = np.cos(yaw), np.sin(yaw)
+    across = np.abs(c * off[..., 0] + s * off[..., 1])
+    along = np.abs(c * off[..., 1] - s * off[..., 0])
     off_turn = np.maximum(np.abs(_wrapped(yaw - seen.yaw)) - AT_YAW_RAD, 0.0)
-    spread = np.maximum(off_axis - 0.7 * AT_XY_M, 0.0) + 0.02 * off_turn
-    approach = _funnel(seen.position, place, spread, LIFT_M)
-    there = (off_turn == 0.0) & (off_axis < AT_XY_M) & (np.abs(off[..., 2]) < AT_Z_M)
+    outside = (
+        np.maximum(across - NEAR * AT_ACROSS_M, 0.0),
+        np.maximum(along - NEAR * AT_ALONG_M, 0.0),
+    )
+    approach = _funnel(seen.position, place, np.hypot(*outside) + 0.02 * off_turn, LIFT_M)
+    there = (across < AT_ACROSS_M) & (along < AT_ALONG_M) & (off_turn == 0.0)
+    there &= np.abs(off[..., 2]) < AT_Z_M
     held = _holds(seen, HELD_M)
     target = np.where(held[..., None], goal[..., 0:3], approach)
     return Move(target, yaw, np.where(held | there, CLOSE, OPEN))
@@ -169,10 +179,10 @@ def _release(seen: Seen, goal: FloatArray) -> Move:
     to_goal = goal[..., 3:6] - seen.letter
     off_axis = np.hypot(to_goal[..., 0], to_goal[..., 1])
     opened = ~_holds(seen, 2.0 * HELD_M)
-    down = (off_axis < 0.002) & (-to_goal[..., 2] < LOWERED_M + 0.0008)
+    down = (off_axis < AT_CELL_M) & (-to_goal[..., 2] < LOWERED_M + 0.001)
 
     carried = seen.position + to_goal
-    height = LOWERED_M + FUNNEL * np.maximum(off_axis - 0.001, 0.0)
+    height = LOWERED_M + FUNNEL * np.maximum(off_axis - NEAR * AT_CELL_M, 0.0)
     carried[..., 2] += np.minimum(height, LIFT_M)
 
     low = seen.position[..., 2] - seen.frame[..., 2] - GRASP_M < 0.005
@@ -180,7 +190,8 @@ def _release(seen: Seen, goal: FloatArray) -> Move:
     let_go = np.where(opened[..., None], away, seen.position)
     finished = opened | down
     target = np.where(finished[..., None], let_go, carried)
-    return Move(target, _nearest_yaw(seen.frame_yaw), np.where(finished, OPEN, CLOSE))
+    straight = seen.yaw + GRASP_YAW_RAD - seen.frame_yaw
+    return Move(target, straight, np.where(finished, OPEN, CLOSE))
 
 
 def _funnel(position: FloatArray, place: FloatArray, spread: FloatArray, high: float) -> FloatArray:
