@@ -1,14 +1,14 @@
 """MatchBoardPanel: one PSM opens a sliding door, lays a letter into its cell and closes the door.
 
 Vectors are those of the ViSkill reference task in metres and in the task frame. EEF poses are those
-of the last link (frame 6: y forward, z along the jaw's hinge), whose origin is the tip's. What is
-computed here is computed for any number of worlds at once: vectors are (..., n), poses (..., 4, 4).
+of the last link (frame 6: y forward, z along the jaw's hinge), whose origin is the tip's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ from viskill_deploy.sim.letters import GRASP_YAW_RAD, NAMES, PREFIX, grasp_point
 from viskill_deploy.sim.panel_model import COLUMNS, ROWS, column_y, door_name, row_x
 from viskill_deploy.sim.tasks import matchboardpanel_script as script
 from viskill_deploy.sim.tasks.base import Layout, SkillSpec
+from viskill_deploy.sim.tasks.bipegtransfer import fixed_euler
 
 REFERENCE_LETTER = PREFIX + "C"
 LETTER_XY_M = (0.050, 0.055)
@@ -66,17 +67,6 @@ OBSERVATION: Layout = (
 GOAL: Layout = (("first_position", 3), ("second_position", 3), ("contact", 1))
 
 
-def fixed_euler(R: FloatArray) -> FloatArray:
-    """Fixed-axis x, y, z angles of rotations (..., 3, 3), rad, (..., 3)."""
-    across = np.hypot(R[..., 0, 0], R[..., 1, 0])
-    angles = (
-        np.arctan2(R[..., 2, 1], R[..., 2, 2]),
-        np.arctan2(-R[..., 2, 0], across),
-        np.arctan2(R[..., 1, 0], R[..., 0, 0]),
-    )
-    return np.stack(angles, axis=-1)
-
-
 @dataclass(frozen=True)
 class MatchBoardPanel:
     """The task in a cell that has a panel and letters."""
@@ -85,6 +75,7 @@ class MatchBoardPanel:
     panel: Panel
     letter: Letter
     name: str = "matchboardpanel"
+    batched: bool = True
     skills: tuple[SkillSpec, ...] = SKILLS
     action: ActionSpec = field(default_factory=lambda: ActionSpec(jaw_open_rad=JAW_OPEN_RAD))
     observation_layout: Layout = OBSERVATION
@@ -120,72 +111,59 @@ class MatchBoardPanel:
         goal = [row_x(self.panel)[row], column_y(self.panel)[column], self.rest_height_m]
         return Scene(0.0, tuple(objects), active, np.array(goal))
 
-    def row_of(self, goal: FloatArray) -> int:
-        """The row in which a goal (3,) lies."""
-        return int(np.argmin(np.abs(row_x(self.panel) - goal[0])))
+    def observe(
+        self, T_task_tip: Sequence[FloatArray], jaws: Sequence[float | FloatArray], scene: Scene
+    ) -> FloatArray:
+        """The observation, (..., 31), laid out as `OBSERVATION`.
 
-    def closed_handle(self, goal: FloatArray) -> FloatArray:
-        """The closed door's handle in the row of a goal (..., 3); (..., 3) m."""
-        rows = row_x(self.panel)
-        nearest = np.abs(goal[..., :1] - rows).argmin(axis=-1)
+        Args:
+            T_task_tip: measured tip of the one arm, (..., 4, 4).
+            jaws: measured opening of its jaw, (...) rad.
+            scene: gives the letter's pose, the goal, and the pose of the door over it.
+        """
+        tip, letter = T_task_tip[0], scene.pose(scene.active)
+        door = scene.pose(self._door_over(scene.goal))[..., :3, 3]
+        place, turn = letter[..., :3, 3], letter[..., :3, :3]
+        jaw_frame = tip[..., :3, :3] @ self.cell.arms[0].arm.tip_rotation.T
+        grasp = (turn @ self._grasp_points(scene.active)[..., None])[..., 0]
+        parts = [
+            tip[..., :3, 3],
+            fixed_euler(jaw_frame),
+            np.asarray(jaws[0], dtype=np.float64)[..., None],
+            place,
+            place - tip[..., :3, 3],
+            place + grasp,
+            fixed_euler(turn @ _about_z(GRASP_YAW_RAD)),
+            door,
+            door + self.panel.handle_from_door_m,
+            scene.goal,
+            self._closed_handle(scene.goal),
+        ]
+        return np.concatenate(parts, axis=-1)
+
+    def _rows(self, goal: FloatArray) -> npt.NDArray[np.intp]:
+        """The rows in which goals (..., 3) lie, (...)."""
+        rows: npt.NDArray[np.intp] = np.abs(goal[..., :1] - row_x(self.panel)).argmin(axis=-1)
+        return rows
+
+    def _door_over(self, goal: FloatArray) -> Any:
+        """Name of the door over a goal (3,); a tuple of names for goals (N, 3)."""
+        rows = self._rows(goal)
+        return tuple(map(door_name, rows.tolist())) if rows.ndim else door_name(int(rows))
+
+    def _closed_handle(self, goal: FloatArray) -> FloatArray:
+        """The closed door's handle in the rows of goals (..., 3); (..., 3) m."""
         x, y, z = self.panel.handle_from_door_m
-        handle: FloatArray = np.empty_like(goal)
-        handle[..., 0] = rows[nearest] + x
+        handle = np.empty_like(goal)
+        handle[..., 0] = row_x(self.panel)[self._rows(goal)] + x
         handle[..., 1], handle[..., 2] = y, self.panel.door_height_m + z
         return handle
 
-    def observe(
-        self, T_task_tip: Sequence[FloatArray], jaws: Sequence[float], scene: Scene
-    ) -> FloatArray:
-        """The observation, (31,), laid out as `OBSERVATION`.
-
-        Args:
-            T_task_tip: measured tip of the one arm, (4, 4).
-            jaws: measured opening of its jaw, rad.
-            scene: gives the letter's pose, the goal, and the pose of the door over it.
-        """
-        letter, door = scene.pose(scene.active), scene.pose(door_name(self.row_of(scene.goal)))
-        grasp = grasp_point(self.letter, scene.active)
-        return self.assemble(T_task_tip[0], np.float64(jaws[0]), letter, grasp, door, scene.goal)
-
-    def assemble(
-        self,
-        T_task_tip: FloatArray,
-        jaw: npt.ArrayLike,
-        T_task_letter: FloatArray,
-        grasp: FloatArray,
-        T_task_door: FloatArray,
-        goal: FloatArray,
-    ) -> FloatArray:
-        """Observations (..., 31) from what is seen of the tip, the letter and the row's door.
-
-        Args:
-            T_task_tip: (..., 4, 4).
-            jaw: opening, (...).
-            T_task_letter: (..., 4, 4).
-            grasp: the letter's grasp point in its own frame, (..., 3).
-            T_task_door: (..., 4, 4).
-            goal: (..., 3).
-        """
-        tip, place = T_task_tip[..., :3, 3], T_task_letter[..., :3, 3]
-        turn = T_task_letter[..., :3, :3]
-        jaw_frame = T_task_tip[..., :3, :3] @ self.cell.arms[0].arm.tip_rotation.T
-        grasp_frame = turn @ _about_z(GRASP_YAW_RAD)
-        door = T_task_door[..., :3, 3]
-        parts = [
-            tip,
-            fixed_euler(jaw_frame),
-            np.asarray(jaw, dtype=np.float64)[..., None],
-            place,
-            place - tip,
-            place + (turn @ grasp[..., None])[..., 0],
-            fixed_euler(grasp_frame),
-            door,
-            door + np.array(self.panel.handle_from_door_m),
-            goal,
-            self.closed_handle(goal),
-        ]
-        return np.concatenate(parts, axis=-1)
+    def _grasp_points(self, active: str | Sequence[str]) -> FloatArray:
+        """Where a jaw takes the active letter, or each of them, in its frame; (..., 3) m."""
+        if isinstance(active, str):
+            return grasp_point(self.letter, active)
+        return np.array([grasp_point(self.letter, name) for name in active])
 
     def subgoals(
         self, observation: FloatArray, scene: Scene, rng: np.random.Generator
@@ -247,7 +225,7 @@ class MatchBoardPanel:
         return (thing.door_touched,)
 
     def achieved(
-        self, skill: str, observation: FloatArray, flags: Sequence[bool] | npt.NDArray[np.bool_]
+        self, skill: str, observation: FloatArray, flags: Sequence[bool] | FloatArray
     ) -> FloatArray:
         """The jaw's place, that of handle or letter, and the wrist's touch, (..., 7)."""
         seen = script.read(observation)
@@ -270,7 +248,7 @@ class MatchBoardPanel:
 
     def success(self, thing: ActiveObject, scene: Scene) -> bool:
         """Whether the letter lies in its cell, let go and at rest, and the door is closed."""
-        door = scene.pose(door_name(self.row_of(scene.goal)))
+        door = scene.pose(self._door_over(scene.goal))
         return bool(
             self.is_in_cell(thing.T_task_object, scene.goal)
             and self.is_closed(door)

@@ -2,8 +2,10 @@
 
 Which phase a skill is in is read off what is seen: where the arm stands to the handle or to the
 letter, how far the door has gone, how far the jaw is open. A jaw on a letter's stroke stands at
-about 0.15 rad, an open one at 0.7, an empty closed one at 0. Vectors are (..., n), for any number of
-worlds at once.
+about 0.15 rad, an open one at 0.7, an empty closed one at 0.
+
+Works on one observation or on many at once: `...` stands for the leading dimensions. Both sides of
+each decision are worked out, and `where` picks one for each observation.
 """
 
 from __future__ import annotations
@@ -190,8 +192,7 @@ def _release(seen: Seen, goal: FloatArray) -> Move:
     let_go = np.where(opened[..., None], away, seen.position)
     finished = opened | down
     target = np.where(finished[..., None], let_go, carried)
-    straight = seen.yaw + GRASP_YAW_RAD - seen.frame_yaw
-    return Move(target, straight, np.where(finished, OPEN, CLOSE))
+    return Move(target, _straight(seen, finished), np.where(finished, OPEN, CLOSE))
 
 
 def _funnel(position: FloatArray, place: FloatArray, spread: FloatArray, high: float) -> FloatArray:
@@ -220,6 +221,14 @@ def _nearest_yaw(yaw: FloatArray) -> FloatArray:
     """The same line's yaw within a right angle of `MIDDLE_YAW_RAD`."""
     turned = yaw - MIDDLE_YAW_RAD
     return MIDDLE_YAW_RAD + turned - math.pi * np.round(turned / math.pi)
+
+
+def _straight(seen: Seen, let_go: Flags) -> FloatArray:
+    """The yaw that lays a held letter straight, whichever way up; the present one once let go."""
+    turn = GRASP_YAW_RAD - seen.frame_yaw
+    turned = seen.yaw + turn - math.pi * np.round(turn / math.pi)
+    within = np.clip(turned, MIDDLE_YAW_RAD - math.pi / 2, MIDDLE_YAW_RAD + math.pi / 2)
+    return np.where(let_go, seen.yaw, within)
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:
