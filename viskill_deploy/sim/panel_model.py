@@ -20,6 +20,9 @@ from viskill_deploy.sim.materials import CONTACT_SOLIMP, CONTACT_SOLREF, FRICTIO
 TABLE_HALF_M = (0.30, 0.30, 0.02)
 ROWS = COLUMNS = 3
 RAIL_M = 0.0005
+RAIL_SOLREF, RAIL_SOLIMP = (0.008, 1.0), (0.999, 0.999, 0.001, 0.5, 2.0)
+"""How a door's dry friction answers. MuJoCo's own values let 90 % of the force that would break it
+loose creep it along at 16 mm/s."""
 STROKE_SOLREF, STROKE_SOLIMP = (0.012, 1.0), (0.998, 0.998, 0.0005, 0.5, 2.0)
 """How the strokes of a letter answer a jaw. A contact gives way the more the lighter what it holds
 is: with the blocks' values a grip of 1.2 N dents a letter of 1 g by 0.2 mm a side and squeezes it
@@ -112,6 +115,8 @@ def _add_door(world: mujoco.MjsBody, name: str, panel: Panel, x: float) -> None:
         range=[0.0, panel.door_travel_m],
         frictionloss=panel.door_friction_n,
         damping=panel.door_damping_n_s_per_m,
+        solref_friction=RAIL_SOLREF,
+        solimp_friction=RAIL_SOLIMP,
         solref_limit=CONTACT_SOLREF,
     )
     surface = {
