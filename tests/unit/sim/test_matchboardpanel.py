@@ -251,18 +251,26 @@ def test_many_states_at_once_get_what_each_gets_alone(skill: str) -> None:
         assert TASK.skill_success(skill, one, goal[row]) == done[row]
 
 
-def test_the_jaw_rises_over_a_handle_that_it_stands_on_the_wrong_side_of() -> None:
+@pytest.mark.parametrize("before_m", [0.004, -0.0006])
+def test_the_jaw_rises_off_a_knob_that_it_does_not_stand_behind(before_m: float) -> None:
     at = scene(pose(0.05, 0.055, 0.00145))
     obs = seen(at)
-    obs[0:3] = obs[22:25] + shift(0.0, 0.004, 0.0104)  # low, before the handle: a push would jam it
     goal = TASK.subgoals(obs, at, np.random.default_rng(0))["pull"]
+    obs[0:3] = obs[22:25] + shift(0.0, before_m, 0.0130)  # going on would jam or drag the door
     action = TASK.scripted_action("pull", obs, goal)
     assert action[:2].tolist() == [0.0, 0.0]
     assert action[2] > 0.5
-    obs[0:3] = obs[22:25] + shift(0.0, -0.004, 0.0104)  # behind it
-    action = TASK.scripted_action("pull", obs, goal)
-    assert action[1] > 0.5
-    assert abs(action[2]) < 0.1
+
+
+def test_the_jaw_pushes_a_knob_that_it_stands_behind() -> None:
+    at = scene(pose(0.05, 0.055, 0.00145), 0.02)
+    obs = seen(at)
+    for skill, way in (("pull", 1.0), ("push", -1.0)):
+        goal = TASK.subgoals(obs, at, np.random.default_rng(0))[skill]
+        obs[0:3] = obs[22:25] + shift(0.0, -0.004 * way, 0.0104)
+        action = TASK.scripted_action(skill, obs, goal)
+        assert way * action[1] > 0.5
+        assert abs(action[2]) < 0.1
 
 
 def test_a_held_letter_is_never_dropped_on_its_way() -> None:

@@ -144,8 +144,9 @@ def _slide(seen: Seen, goal: FloatArray, way: float) -> Move:
     beside = seen.handle.copy()
     beside[..., 1] -= way * BESIDE_M
     beside[..., 2] += PUSH_M
-    miss = np.maximum(behind - BESIDE_M, CONTACT_M - behind)
-    spread = np.hypot(aside, np.maximum(miss, 0.0)) - 0.0015
+    spread = np.hypot(aside, np.maximum(behind - BESIDE_M, 0.0)) - 0.0015
+    over = behind < CONTACT_M - 0.0006  # on the knob, or beyond it: all the way up first
+    spread = np.where(over, CLEAR_M, spread)
     approach = _funnel(seen.position, beside, spread, CLEAR_M - PUSH_M)
 
     low = above < 0.5 * (CLEAR_M - PUSH_M)
