@@ -79,14 +79,13 @@ def manifest_of(task: Task) -> Manifest:
     return Manifest.model_validate(content)
 
 
-@pytest.fixture
-def untrained_bundle(tmp_path: Path) -> Path:
-    """A bundle whose skills keep still; correct in every other way."""
-    task = load_task("bipegtransfer")
-    folder = tmp_path / "untrained"
+def write_untrained(folder: Path, task: Task) -> Path:
+    """A bundle for a task whose skills keep still; correct in every other way."""
     folder.mkdir()
+    sizes = [sum(n for _, n in layout) for layout in (task.observation_layout, task.goal_layout)]
     for skill in task.skills:
-        (folder / f"skill-{skill.name}.onnx").write_bytes(linear_graph())
+        graph = linear_graph(*sizes, action=5 * len(task.cell.arms))
+        (folder / f"skill-{skill.name}.onnx").write_bytes(graph)
     (folder / "MODEL_CARD.md").write_text("# untrained\n", encoding="utf-8")
     write_manifest(folder, manifest_of(task))
     return folder
@@ -102,3 +101,9 @@ def chaining_bundle(untrained_bundle: Path) -> Path:
 def chained_imitation(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A chaining bundle that does BiPegTransfer. Nobody changes it."""
     return chaining.chained_imitation(tmp_path_factory.mktemp("chained") / "bundle")
+
+
+@pytest.fixture
+def untrained_bundle(tmp_path: Path) -> Path:
+    """A bundle whose skills keep still; correct in every other way."""
+    return write_untrained(tmp_path / "untrained", load_task("bipegtransfer"))

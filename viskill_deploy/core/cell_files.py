@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from viskill_deploy.core.robot_files import Positive, Table, Vector3
+from viskill_deploy.core.robot_files import NonNegative, Positive, Table, Vector3
 
 Rotation = Literal["yaw", "pitch"]
 """The one angle of its tool that an arm's policies command (see `motion.waypoints`)."""
@@ -82,6 +82,41 @@ class Block(Table):
     grasp_frame_yaw_rad: tuple[float, float]
 
 
+class Panel(Table):
+    """Three by three plates on a table whose top is z = 0; a sliding door over each row of x.
+
+    Attributes:
+        pitch_m: side of a plate, and distance from one to the next.
+        plate_top_m: height of the plates over the table.
+        door_size_m: x, y, z.
+        door_height_m: height of a door's centre over the table.
+        door_travel_m: way of a door along +y, from closed to its stop.
+        handle_from_door_m: from a door's centre to the point that counts as its handle.
+        handle_height_m: height of the knob's centre over the door's centre.
+    """
+
+    pitch_m: Positive
+    plate_top_m: Positive
+    door_size_m: Vector3
+    door_height_m: Positive
+    door_travel_m: Positive
+    door_mass_kg: Positive
+    door_friction_n: Positive
+    door_damping_n_s_per_m: NonNegative
+    handle_from_door_m: Vector3
+    handle_height_m: Positive
+    handle_radius_m: Positive
+    knob_radius_m: Positive
+
+
+class Letter(Table):
+    """Measures of the characters that lie beside a panel; `sim.letters` has their strokes."""
+
+    size_m: Vector3
+    stroke_m: Positive
+    mass_kg: Positive
+
+
 class Camera(Table):
     """A view of the cell: a point to look from, a point to look at, both in the task frame."""
 
@@ -101,3 +136,5 @@ class CellFile(Table):
     camera: tuple[Camera, ...] = ()
     board: Board | None = None
     block: Block | None = None
+    panel: Panel | None = None
+    letter: Letter | None = None

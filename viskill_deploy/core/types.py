@@ -198,7 +198,7 @@ class Scene:
 
     Attributes:
         stamp_s: driver's clock at which they were seen.
-        objects: blocks, rings, letters.
+        objects: blocks, rings, letters, doors.
         active: name of the object to manipulate.
         goal: where it has to go, task frame, (3,) m.
     """
@@ -228,11 +228,14 @@ class ActiveObject:
         T_task_object: pose, (4, 4).
         speed_m_s: speed of its centre.
         touched: per arm, whether any part of it touches the object.
+        door_touched: whether a wrist touches the sliding door over the goal; False where there is
+            no door.
     """
 
     T_task_object: FloatArray
     speed_m_s: float
     touched: tuple[bool, ...]
+    door_touched: bool = False
 
 
 @dataclass(frozen=True, slots=True)

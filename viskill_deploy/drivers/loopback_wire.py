@@ -144,13 +144,15 @@ def pack_object(thing: ActiveObject) -> Message:
         "pose": thing.T_task_object.ravel().tolist(),
         "speed_m_s": thing.speed_m_s,
         "touched": list(thing.touched),
+        "door_touched": thing.door_touched,
     }
 
 
 def unpack_object(message: Message) -> ActiveObject:
     """The truth about the active object."""
     pose = np.array(message["pose"]).reshape(4, 4)
-    return ActiveObject(pose, message["speed_m_s"], tuple(message["touched"]))
+    touched, door_touched = tuple(message["touched"]), message["door_touched"]
+    return ActiveObject(pose, message["speed_m_s"], touched, door_touched)
 
 
 def pack_setpoints(setpoints: list[JointSetpoint]) -> list[Any]:

@@ -18,7 +18,7 @@ from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.observe.records import RunData
 from viskill_deploy.observe.video import DATA_AT_FAULT, GL_READY
 from viskill_deploy.sim.scene import build_model
-from viskill_deploy.sim.things import colour
+from viskill_deploy.sim.things import colour, sliding
 
 WIDTH, HEIGHT, FPS = 640, 480, 15
 CAMERA = "overview"
@@ -43,6 +43,9 @@ def frame_positions(model: mujoco.MjModel, data: RunData, times_s: FloatArray) -
         if model.jnt_type[index] == mujoco.mjtJoint.mjJNT_FREE:
             at = model.jnt_qposadr[index]
             qpos[:, at : at + 7] = _object(data, model.joint(index).name, times_s)
+    for name, door in sliding(model).items():
+        if f"/scene/{name}" in data.poses:
+            qpos[:, door.column] = door.travel(_object(data, name, times_s)[:, :3])
     return qpos
 
 

@@ -14,6 +14,7 @@ from viskill_deploy.core.types import FloatArray
 from viskill_deploy.sim.arm_model import add_arm, quaternion
 from viskill_deploy.sim.board_model import add_blocks, add_board
 from viskill_deploy.sim.materials import add_materials
+from viskill_deploy.sim.panel_model import add_letters, add_panel
 
 LONGEST_STEP_S = 0.004
 """Longer physics steps let a held block creep: placing falls from 1.00 to 0.96 at 5 ms."""
@@ -44,10 +45,14 @@ def build_model(
     _add_looks(spec, cell.file.camera)
     if cell.file.board is not None:
         add_board(spec, cell.file.board)
+    if cell.file.panel is not None:
+        add_panel(spec, cell.file.panel)
     for arm in cell.arms:
         add_arm(spec, arm, friction)
     if cell.file.block is not None:
         add_blocks(spec, cell.file.block)
+    if cell.file.letter is not None:
+        add_letters(spec, cell.file.letter)
     if only is not None:
         _leave_out_others(spec, only)
     return spec.compile()

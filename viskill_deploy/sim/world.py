@@ -78,6 +78,7 @@ class _ArmIndex:
         self.qvel: npt.NDArray[np.intp] = np.array([model.jnt_dofadr[i] for i in ids])
         parts = ("wrist", "jaw_left", "jaw_right")
         self.geoms = {model.geom(f"{arm.name}/{part}").id for part in parts}
+        self.wrist = model.geom(f"{arm.name}/wrist").id
 
 
 class World:
@@ -224,7 +225,16 @@ class World:
         things, name = self._things, self._active
         partners = things.touching(self.data, name)
         touched = tuple(not index.geoms.isdisjoint(partners) for index in self._arms)
-        return ActiveObject(things.pose(self.data, name), things.speed(self.data, name), touched)
+        pose, speed = things.pose(self.data, name), things.speed(self.data, name)
+        return ActiveObject(pose, speed, touched, self._is_door_touched())
+
+    def _is_door_touched(self) -> bool:
+        """Whether a wrist touches the door over the goal."""
+        door = self._things.door_over(self._goal)
+        if not door:
+            return False
+        wrists = {index.wrist for index in self._arms}
+        return not wrists.isdisjoint(self._things.touching(self.data, door))
 
     def save(self) -> FloatArray:
         """The physical state, for `restore`."""

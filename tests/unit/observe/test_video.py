@@ -8,6 +8,7 @@ import synthetic_run as synthetic
 
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.observe.reading import read_recording
+from viskill_deploy.observe.records import PoseTrack, RunData, Track
 from viskill_deploy.observe.video import render_video
 from viskill_deploy.observe.video_process import FPS, HEIGHT, WIDTH, frame_positions
 from viskill_deploy.sim.scene import build_model
@@ -74,3 +75,19 @@ def test_a_wrong_recording_is_told_apart_from_a_missing_library(bag, tmp_path):
 def test_rendering_gives_up_in_time(bag, tmp_path):
     video = render_video(bag, tmp_path / "v.mp4", timeout_s=0.01)
     assert "render a shorter episode" in video.note
+
+
+def test_doors_are_shown_as_far_open_as_they_were_recorded():
+    model = build_model(load_cell("matchboardpanel"))
+    times = np.array([0.0, 0.5, 1.0])
+    place = np.column_stack([np.full(3, 0.025), [0.0, 0.03, 0.075], np.full(3, 0.0086)])
+    poses = {"/scene/door2": PoseTrack(times, place, np.tile([0.0, 0.0, 0.0, 1.0], (3, 1)))}
+    rest = np.zeros((3, 6))
+    joints = {
+        "/PSM1/measured_js": Track(times, rest, rest),
+        "/PSM1/jaw/measured_js": Track(times, rest[:, :1], rest[:, :1]),
+    }
+    data = RunData({"arms": ["PSM1"]}, 0, joints, poses)
+    qpos = frame_positions(model, data, times)
+    assert qpos[:, model.joint("door2").qposadr[0]].tolist() == pytest.approx([0.0, 0.03, 0.075])
+    assert qpos[:, model.joint("door0").qposadr[0]].tolist() == [0.0, 0.0, 0.0]
