@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from viskill_deploy.core import data
+from viskill_deploy.core.cell_files import CellArmEntry, CellFile
 from viskill_deploy.core.errors import DataFileError
 from viskill_deploy.core.robot_files import (
-    CellArmEntry,
-    CellFile,
     GateThresholds,
     Jaw,
     PrismaticJoint,

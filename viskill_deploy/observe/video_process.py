@@ -17,7 +17,8 @@ from viskill_deploy.core.types import PSM_JOINTS, FloatArray
 from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.observe.records import RunData
 from viskill_deploy.observe.video import DATA_AT_FAULT, GL_READY
-from viskill_deploy.sim.scene import build_model, colour
+from viskill_deploy.sim.scene import build_model
+from viskill_deploy.sim.things import colour
 
 WIDTH, HEIGHT, FPS = 640, 480, 15
 CAMERA = "overview"
@@ -102,7 +103,7 @@ def main(recording: Path, path: Path, episode: int | None) -> None:
     active = next((mark.note for mark in data.marks if mark.note), "")
     goal = data.poses.get("/scene/goal")
     if goal is not None and len(goal.position):
-        colour(model, cell, active, goal.position[-1])
+        colour(model, active, goal.position[-1])
     # multisampling and shadows cost a software renderer four fifths of its speed
     model.vis.quality.offsamples = model.vis.quality.shadowsize = 0
     model.vis.global_.offwidth, model.vis.global_.offheight = WIDTH, HEIGHT

@@ -7,15 +7,18 @@ six small spheres: nine contact rows at rest instead of the 48 of a box on a box
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
-from viskill_deploy.core.robot_files import Block, Board
+from viskill_deploy.core.cell_files import Block, Board
 from viskill_deploy.sim.materials import CONTACT_SOLIMP, CONTACT_SOLREF, FRICTION, Touch
 
 TABLE_HALF_M = (0.30, 0.30, 0.02)
 SIDES = 6
+ASIDE_X_M, ASIDE_Y_M = 0.25, 0.1
+"""Distance from the board at which blocks wait, and between two of them."""
 
 
 def add_board(spec: mujoco.MjSpec, board: Board) -> None:
@@ -63,16 +66,15 @@ def add_board(spec: mujoco.MjSpec, board: Board) -> None:
         )
 
 
-def add_block(spec: mujoco.MjSpec, name: str, block: Block, height_m: float) -> None:
-    """Adds a free block, its axis upright at x = y = 0 until the world is reset.
+def add_blocks(spec: mujoco.MjSpec, block: Block) -> None:
+    """Adds the free blocks `block0`, `block1`, ..., put aside until a scene names them."""
+    for index in range(block.count):
+        _add_block(spec, f"block{index}", block, (ASIDE_X_M, ASIDE_Y_M * index - 0.15, 0.01))
 
-    Args:
-        spec: the model that is being built.
-        name: the block's name; its geoms are `<name>/wall0`, ...
-        block: its measures.
-        height_m: where its centre is put before a reset, m above the board.
-    """
-    body = spec.worldbody.add_body(name=name, pos=[0, 0, height_m])
+
+def _add_block(spec: mujoco.MjSpec, name: str, block: Block, place: Sequence[float]) -> None:
+    """One block, its axis upright; its geoms are `<name>/wall0`, ..."""
+    body = spec.worldbody.add_body(name=name, pos=place)
     body.add_freejoint(name=name)
     for side in range(SIDES):
         _add_wall(body, name, side, block)
@@ -91,7 +93,7 @@ def _add_wall(body: mujoco.MjsBody, name: str, side: int, block: Block) -> None:
         quat=[math.cos(angle / 2), 0, 0, math.sin(angle / 2)],
         size=[block.wall_thickness_m / 2, length / 2, block.height_m / 2],
         mass=block.mass_kg / SIDES,
-        material="block",
+        material="thing",
         condim=4,
         friction=FRICTION,
         solref=CONTACT_SOLREF,
@@ -107,7 +109,7 @@ def _add_wall(body: mujoco.MjsBody, name: str, side: int, block: Block) -> None:
         pos=[reach * math.cos(edge), reach * math.sin(edge), foot - block.height_m / 2],
         size=[foot, 0, 0],
         mass=0.0,
-        material="block",
+        material="thing",
         condim=3,
         friction=FRICTION,
         solref=CONTACT_SOLREF,
@@ -133,6 +135,6 @@ def _add_corner(
         meshname=mesh,
         quat=[math.cos(angle / 2), 0, 0, math.sin(angle / 2)],
         mass=0.0,
-        material="block",
+        material="thing",
         **Touch.NOTHING.bits,
     )

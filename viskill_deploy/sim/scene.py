@@ -3,30 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
+from viskill_deploy.core.cell_files import Camera
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.sim.arm_model import add_arm, quaternion
-from viskill_deploy.sim.board_model import add_block, add_board
+from viskill_deploy.sim.board_model import add_blocks, add_board
 from viskill_deploy.sim.materials import add_materials
 
-BLOCKS = 4
 LONGEST_STEP_S = 0.004
 """Longer physics steps let a held block creep: placing falls from 1.00 to 0.96 at 5 ms."""
-
-CAMERAS = {
-    "overview": ((0.24, 0.10, 0.17), (-0.01, 0.0, 0.035), 38.0),
-    "side": ((0.02, -0.26, 0.09), (-0.01, 0.0, 0.03), 40.0),
-}
-"""Position, point looked at (task frame, m), vertical field of view (deg)."""
-
-
-def block_name(index: int) -> str:
-    """Name of the block with this index."""
-    return f"block{index}"
 
 
 def build_model(
@@ -35,7 +25,7 @@ def build_model(
     """The compiled model of a cell. World frame = task frame.
 
     Args:
-        cell: arms, board and blocks.
+        cell: arms, board and what lies on it.
         timestep_s: physics step, s.
         friction: whether arm joints have the Coulomb friction of their files.
 
@@ -47,14 +37,13 @@ def build_model(
     spec.compiler.degree = False
     _set_options(spec, timestep_s)
     add_materials(spec)
-    _add_looks(spec)
+    _add_looks(spec, cell.file.camera)
     if cell.file.board is not None:
         add_board(spec, cell.file.board)
     for arm in cell.arms:
         add_arm(spec, arm, friction)
     if cell.file.block is not None:
-        for index in range(BLOCKS):
-            add_block(spec, block_name(index), cell.file.block, 0.2 + 0.05 * index)
+        add_blocks(spec, cell.file.block)
     return spec.compile()
 
 
@@ -67,11 +56,11 @@ def _set_options(spec: mujoco.MjSpec, timestep_s: float) -> None:
     option.impratio = 10.0
     # MuJoCo 4.0.0 factors the Newton Hessian wrongly with a sparse constraint Jacobian.
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-    # Blocks that nothing touches sleep: a step costs 20 us instead of 53.
+    # Things that nothing touches sleep: a step costs 20 us instead of 53.
     option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
 
 
-def _add_looks(spec: mujoco.MjSpec) -> None:
+def _add_looks(spec: mujoco.MjSpec, cameras: Sequence[Camera]) -> None:
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.25, 0.25, 0.25]
     spec.visual.global_.offwidth = 1280
@@ -94,28 +83,13 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
     spec.worldbody.add_light(
         pos=[-0.2, -0.3, 0.4], dir=[0.4, 0.5, -0.76], diffuse=[0.25, 0.26, 0.3], castshadow=False
     )
-    for name, (eye, target, fovy) in CAMERAS.items():
-        spec.worldbody.add_camera(name=name, pos=eye, quat=look_at(eye, target), fovy=fovy)
-
-
-def colour(model: mujoco.MjModel, cell: CellDescription, active: str, goal: FloatArray) -> None:
-    """Paints the active block red and the peg under the goal green.
-
-    Args:
-        model: a model of the cell.
-        cell: the cell.
-        active: name of the block to manipulate.
-        goal: task frame, (3,) m.
-    """
-    for index in range(BLOCKS if cell.file.block else 0):
-        body = model.body(block_name(index)).id
-        first, count = model.body_geomadr[body], model.body_geomnum[body]
-        look = "active_block" if block_name(index) == active else "block"
-        model.geom_matid[first : first + count] = model.material(look).id
-    board = cell.file.board
-    for number, xy in enumerate(board.peg_xy_m if board else ()):
-        look = "goal_peg" if math.dist(xy, goal[:2]) < 1e-3 else "peg"
-        model.geom(f"peg{number}").matid = model.material(look).id
+    for camera in cameras:
+        spec.worldbody.add_camera(
+            name=camera.name,
+            pos=camera.position_m,
+            quat=look_at(camera.position_m, camera.target_m),
+            fovy=math.degrees(camera.vertical_field_of_view_rad),
+        )
 
 
 def look_at(eye: tuple[float, ...], target: tuple[float, ...]) -> FloatArray:

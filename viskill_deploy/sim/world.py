@@ -16,15 +16,15 @@ import numpy as np
 import numpy.typing as npt
 
 from viskill_deploy.core.description import CellArm, CellDescription
-from viskill_deploy.core.errors import ViskillError
 from viskill_deploy.core.types import ActiveObject, FloatArray, JointSetpoint, ObjectPose, Scene
 from viskill_deploy.motion.resolve import resolve
 from viskill_deploy.motion.waypoints import ActionSpec, start_waypoint
-from viskill_deploy.sim.scene import BLOCKS, LONGEST_STEP_S, block_name, build_model, colour
+from viskill_deploy.sim.scene import LONGEST_STEP_S, build_model
+from viskill_deploy.sim.things import Things, colour
 
 AXES = 7
 SETTLE_S = 0.25
-"""Blocks are let fall for this long at a reset, as in the reference scene."""
+"""Things are let fall for this long at a reset, as in the reference scene."""
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
@@ -81,7 +81,7 @@ class _ArmIndex:
 
 
 class World:
-    """Both arms, the board and its blocks.
+    """The arms, the board and the things on it.
 
     Args:
         cell: the cell.
@@ -104,7 +104,7 @@ class World:
         )
         self.data = mujoco.MjData(self.model)
         self._arms = [_ArmIndex(self.model, arm) for arm in cell.arms]
-        self._blocks = [block_name(i) for i in range(BLOCKS)] if cell.file.block else []
+        self._things = Things(self.model)
         self._active, self._goal = "", np.zeros(3)
         self._rng = np.random.default_rng(seed)
         self._pending: deque[FloatArray] = deque()
@@ -124,10 +124,10 @@ class World:
         self._rng = np.random.default_rng(seed)
 
     def reset(self, scene: Scene, axes: npt.ArrayLike | None = None) -> None:
-        """Puts blocks and arms in place, lets the blocks fall and starts time at 0.
+        """Puts things and arms in place, lets the things fall and starts time at 0.
 
         Args:
-            scene: poses of `block0`, ...; blocks that it does not name are put aside.
+            scene: poses of things; those that it does not name are put aside.
             axes: axis positions (arms, 7), jaw last; the cell's start pose by default.
 
         Raises:
@@ -135,7 +135,7 @@ class World:
         """
         start = self.home if axes is None else np.asarray(axes, dtype=np.float64)
         mujoco.mj_resetData(self.model, self.data)
-        self._place_blocks(scene)
+        self._things.place(self.data, scene)
         for index, row in zip(self._arms, start, strict=True):
             self.data.qpos[index.qpos[:6]] = row[:6]
             self.data.qpos[index.qpos[6:]] = max(row[6], 0.0) / 2
@@ -143,7 +143,7 @@ class World:
         still = _controls(start, np.zeros_like(start))
         self._pending = deque([still] * self.options.delay_periods)
         self.data.ctrl[:] = still
-        colour(self.model, self.cell, self._active, self._goal)
+        colour(self.model, self._active, self._goal)
         mujoco.mj_step(self.model, self.data, nstep=math.ceil(SETTLE_S / self.model.opt.timestep))
         self.data.time = 0.0
 
@@ -183,10 +183,10 @@ class World:
         return ArmReading(tuple(jp.tolist()), tuple(v[:6].tolist()), jaw, float(v[6] + v[7]))
 
     def scene(self) -> Scene:
-        """Where the blocks are, as a camera would tell, with noise where asked for."""
+        """Where the things are, as a camera would tell, with noise where asked for."""
         objects = []
-        for name in self._blocks:
-            pose = self._pose(name)
+        for name in self._things.names:
+            pose = self._things.pose(self.data, name)
             if self.options.object_noise_m:
                 pose[:3, 3] += self._rng.normal(0.0, self.options.object_noise_m, 3)
             objects.append(ObjectPose(name, pose))
@@ -194,18 +194,10 @@ class World:
 
     def active_object(self) -> ActiveObject:
         """The true state of the active object."""
-        body = self.model.body(self._active)
-        dof = self.model.body_dofadr[body.id]
-        speed = float(np.linalg.norm(self.data.qvel[dof : dof + 3]))
-        first, count = self.model.body_geomadr[body.id], self.model.body_geomnum[body.id]
-        partners = set()
-        for a, b in self.data.contact.geom.tolist():
-            if first <= a < first + count:
-                partners.add(b)
-            elif first <= b < first + count:
-                partners.add(a)
+        things, name = self._things, self._active
+        partners = things.touching(self.data, name)
         touched = tuple(not index.geoms.isdisjoint(partners) for index in self._arms)
-        return ActiveObject(self._pose(self._active), speed, touched)
+        return ActiveObject(things.pose(self.data, name), things.speed(self.data, name), touched)
 
     def save(self) -> FloatArray:
         """The physical state, for `restore`."""
@@ -217,27 +209,6 @@ class World:
         """Goes back to a state of `save` of the same world and episode."""
         mujoco.mj_setState(self.model, self.data, state, _STATE)
         mujoco.mj_forward(self.model, self.data)
-
-    def _pose(self, name: str) -> FloatArray:
-        start = self.model.jnt_qposadr[self.model.joint(name).id]
-        q = self.data.qpos[start : start + 7]
-        rotation, pose = np.empty(9), np.eye(4)
-        mujoco.mju_quat2Mat(rotation, q[3:])
-        pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), q[:3]
-        return pose
-
-    def _place_blocks(self, scene: Scene) -> None:
-        for number, name in enumerate(self._blocks):
-            start = self.model.jnt_qposadr[self.model.joint(name).id]
-            self.data.qpos[start : start + 3] = (0.25, 0.1 * number - 0.15, 0.01)
-        for thing in scene.objects:
-            if thing.name not in self._blocks:
-                known = ", ".join(self._blocks) or "none"
-                raise ViskillError(f"no object {thing.name!r} in this world; it has: {known}")
-            start = self.model.jnt_qposadr[self.model.joint(thing.name).id]
-            self.data.qpos[start : start + 3] = thing.T_task_object[:3, 3]
-            rotation = np.ascontiguousarray(thing.T_task_object[:3, :3]).ravel()
-            mujoco.mju_mat2Quat(self.data.qpos[start + 3 : start + 7], rotation)
 
 
 def _controls(positions: FloatArray, velocities: FloatArray) -> FloatArray:

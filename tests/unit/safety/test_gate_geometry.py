@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from viskill_deploy.core import data
+from viskill_deploy.core.cell_files import CellArmEntry
 from viskill_deploy.core.description import CellArm, load_cell, load_robot
-from viskill_deploy.core.robot_files import CellArmEntry
 from viskill_deploy.kinematics.model import forward_batch
 from viskill_deploy.safety.geometry import Chain
 

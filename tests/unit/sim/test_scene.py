@@ -7,7 +7,7 @@ import pytest
 from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import DataFileError
 from viskill_deploy.kinematics.model import forward_batch
-from viskill_deploy.sim.scene import CAMERAS, build_model
+from viskill_deploy.sim.scene import build_model
 
 
 @pytest.fixture(scope="module")
@@ -103,9 +103,9 @@ def test_a_block_weighs_what_its_file_says_and_its_hole_admits_peg_and_finger(
 
 
 def test_everything_seen_has_a_named_material_and_the_cameras_exist(
-    model: mujoco.MjModel,
+    cell: CellDescription, model: mujoco.MjModel
 ) -> None:
-    for name in CAMERAS:
+    for name in ("overview", *(camera.name for camera in cell.file.camera)):
         assert model.camera(name).id >= 0
     for geom in range(model.ngeom):
         assert model.geom(geom).matid[0] >= 0 or model.geom(geom).name == "floor"

@@ -181,7 +181,7 @@ def test_a_jaw_lifts_a_block_by_friction_alone() -> None:
 def test_the_active_block_is_red_and_the_goal_peg_green() -> None:
     world, scene = World(TASK.cell), layout()
     world.reset(scene)
-    red, blue = (world.model.material(name).id for name in ("active_block", "block"))
+    red, blue = (world.model.material(name).id for name in ("active_thing", "thing"))
     assert world.model.geom(f"{scene.active}/wall0").matid[0] == red
     others = [thing.name for thing in scene.objects if thing.name != scene.active]
     assert all(world.model.geom(f"{name}/wall0").matid[0] == blue for name in others)

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from viskill_deploy.core.cell_files import Block, Board
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DataFileError
-from viskill_deploy.core.robot_files import Block, Board
 from viskill_deploy.core.types import ActiveObject, FloatArray, ObjectPose, Scene
 from viskill_deploy.motion.waypoints import ActionSpec
 from viskill_deploy.sim.tasks import bipegtransfer_script as script

@@ -1,0 +1,83 @@
+"""The schema of the files in `robots/cells/`: where arms stand, and what is on the table."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from viskill_deploy.core.robot_files import Positive, Table, Vector3
+
+
+class CellArmEntry(Table):
+    """One arm of a cell."""
+
+    name: str
+    robot: str
+    tool: str
+    base_position_m: Vector3
+    base_rpy_rad: Vector3
+    workspace_lower_m: Vector3
+    workspace_upper_m: Vector3
+    start_position_m: Vector3
+    start_yaw_rad: float
+    port_in_base_m: Vector3 = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> CellArmEntry:
+        for low, high in zip(self.workspace_lower_m, self.workspace_upper_m, strict=True):
+            if low >= high:
+                raise ValueError("workspace_lower_m must be below workspace_upper_m on every axis")
+        return self
+
+
+class Motion(Table):
+    """Speed and safety values of the whole cell, all in the task frame."""
+
+    step_s: Positive
+    tip_speed_m_s: Positive
+    tip_speed_ceiling_m_s: Positive
+    floor_m: float
+
+
+class Board(Table):
+    """The peg board: a slab whose top is z = 0 of the task frame, and its pegs."""
+
+    size_m: Vector3
+    peg_xy_m: tuple[tuple[float, float], ...]
+    peg_radius_m: Positive
+    peg_height_m: Positive
+
+
+class Block(Table):
+    """A triangular block with a hexagonal through-hole, as six walls around the axis."""
+
+    count: int = Field(gt=0)
+    height_m: Positive
+    wall_inradius_m: Positive
+    wall_thickness_m: Positive
+    corner_radius_m: Positive
+    mass_kg: Positive
+    grasp_frame_xy_m: tuple[tuple[float, float], tuple[float, float]]
+    grasp_frame_yaw_rad: tuple[float, float]
+
+
+class Camera(Table):
+    """A view of the cell: a point to look from, a point to look at, both in the task frame."""
+
+    name: str
+    position_m: Vector3
+    target_m: Vector3
+    vertical_field_of_view_rad: Positive
+
+
+class CellFile(Table):
+    """`robots/cells/<task>.toml`: where the arms stand, and what is on the board."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    name: str
+    arm: tuple[CellArmEntry, ...]
+    motion: Motion
+    camera: tuple[Camera, ...] = ()
+    board: Board | None = None
+    block: Block | None = None
