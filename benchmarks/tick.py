@@ -46,7 +46,7 @@ def motions(ticks: int) -> tuple[Motions, Segment]:
     line = Line(cell, PERIOD_S)
     line.start(driver.state())
     rng = np.random.default_rng(0)
-    waypoint = start_waypoint(cell, ActionSpec())
+    waypoint = start_waypoint(cell)
     rows: Motions = [line.sample()]
     while len(rows) < ticks:
         action = rng.uniform(-1, 1, 10) * np.array([1, 1, 1, 0.2, 1] * 2)

@@ -23,7 +23,7 @@ PLANS = 200
 def random_waypoints(seed: int, steps: int = 14) -> list[Waypoint]:
     """Smooth wandering, sharp turns, pauses, jaw commands: what policies ask for and worse."""
     rng = np.random.default_rng(seed)
-    waypoint = start_waypoint(CELL, ActionSpec())
+    waypoint = start_waypoint(CELL)
     waypoints = [waypoint]
     drift, jaws = rng.uniform(-1, 1, 10), np.ones(2)
     for _ in range(steps):
@@ -167,7 +167,7 @@ def test_peaks_of_a_trajectory_are_what_sampling_finds() -> None:
 
 
 def test_a_roll_that_would_have_to_unwind_is_refused_with_its_waypoint() -> None:
-    waypoint = start_waypoint(CELL, ActionSpec())
+    waypoint = start_waypoint(CELL)
     waypoints = [waypoint]
     for _ in range(14):
         action = np.array([0.0, 0.0, 0.0, 1.0, 1.0] * 2)

@@ -16,10 +16,11 @@ import onnxruntime
 from onnxruntime.capi import onnxruntime_pybind11_state as ort_errors
 from pydantic import Field, ValidationError
 
+from viskill_deploy.core.cell_files import Rotation
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import BundleError
 from viskill_deploy.core.robot_files import Positive, Table
-from viskill_deploy.motion.waypoints import ActionSpec
+from viskill_deploy.motion.waypoints import PITCH_UNIT_RAD, ActionSpec
 
 MANIFEST = "manifest.json"
 MAX_FILE_BYTES = 64 * 2**20
@@ -47,13 +48,14 @@ class ArmEntry(Table):
 
 
 class ActionEntry(Table):
-    """What the numbers of an action mean; five an arm."""
+    """What the numbers of an action mean; five an arm. A single `rotation` is that of every arm."""
 
     reference: Literal["setpoint", "measured"]
     displacement_m: Positive
     max_displacement_m: Positive
-    rotation: Literal["yaw"]
+    rotation: Rotation | tuple[Rotation, ...]
     rotation_rad: Positive
+    pitch_rad: Positive = PITCH_UNIT_RAD
     jaw: Literal["binary"]
     jaw_open_rad: Positive
 
@@ -65,6 +67,8 @@ class ActionEntry(Table):
             self.max_displacement_m,
             self.rotation_rad,
             self.jaw_open_rad,
+            self.rotation,
+            self.pitch_rad,
         )
 
 
@@ -251,6 +255,8 @@ def _check_sizes(path: Path, manifest: Manifest) -> None:
     if len(sizes) != 1 or any(a > b for a, b in zip(rng.lower, rng.upper, strict=True)):
         raise BundleError(path, "training_range does not fit the observation; export it again")
     arms = len(manifest.arms)
+    if not isinstance(rotation := manifest.action.rotation, str) and len(rotation) != arms:
+        raise BundleError(path, "action.rotation needs one entry, or one an arm; export it again")
     for skill in manifest.skills:
         if len(skill.may_open_jaw) != arms:
             raise BundleError(path, f"skill {skill.name}: may_open_jaw needs one entry an arm")

@@ -8,9 +8,12 @@ from pydantic import Field, model_validator
 
 from viskill_deploy.core.robot_files import Positive, Table, Vector3
 
+Rotation = Literal["yaw", "pitch"]
+"""The one angle of its tool that an arm's policies command (see `motion.waypoints`)."""
+
 
 class CellArmEntry(Table):
-    """One arm of a cell."""
+    """One arm of a cell. The start angle that it gives says which one its policies command."""
 
     name: str
     robot: str
@@ -20,7 +23,8 @@ class CellArmEntry(Table):
     workspace_lower_m: Vector3
     workspace_upper_m: Vector3
     start_position_m: Vector3
-    start_yaw_rad: float
+    start_yaw_rad: float | None = None
+    start_pitch_rad: float | None = None
     port_in_base_m: Vector3 = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
@@ -29,6 +33,22 @@ class CellArmEntry(Table):
             if low >= high:
                 raise ValueError("workspace_lower_m must be below workspace_upper_m on every axis")
         return self
+
+    @model_validator(mode="after")
+    def _turned(self) -> CellArmEntry:
+        if (self.start_yaw_rad is None) == (self.start_pitch_rad is None):
+            raise ValueError("give one of start_yaw_rad and start_pitch_rad, as the arm turns")
+        return self
+
+    @property
+    def rotation(self) -> Rotation:
+        """Which angle policies command."""
+        return "yaw" if self.start_pitch_rad is None else "pitch"
+
+    @property
+    def start_angle_rad(self) -> float:
+        """That angle in the start pose, rad."""
+        return self.start_yaw_rad or self.start_pitch_rad or 0.0
 
 
 class Motion(Table):

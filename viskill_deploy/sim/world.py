@@ -18,7 +18,7 @@ import numpy.typing as npt
 from viskill_deploy.core.description import CellArm, CellDescription
 from viskill_deploy.core.types import ActiveObject, FloatArray, JointSetpoint, ObjectPose, Scene
 from viskill_deploy.motion.resolve import resolve
-from viskill_deploy.motion.waypoints import ActionSpec, start_waypoint
+from viskill_deploy.motion.waypoints import start_waypoint
 from viskill_deploy.sim.scene import LONGEST_STEP_S, build_model
 from viskill_deploy.sim.things import Things, colour
 
@@ -108,9 +108,7 @@ class World:
         self._active, self._goal = "", np.zeros(3)
         self._rng = np.random.default_rng(seed)
         self._pending: deque[FloatArray] = deque()
-        home = resolve(
-            cell, [start_waypoint(cell, ActionSpec())], [(0.0,) * AXES] * len(self._arms)
-        )
+        home = resolve(cell, [start_waypoint(cell)], [(0.0,) * AXES] * len(self._arms))
         self.home: FloatArray = home[1]
         """Axis positions (arms, 7) of the cell's start pose."""
 

@@ -15,6 +15,7 @@ from viskill_deploy.bundle.format import MANIFEST, check_fits, digest, load_bund
 from viskill_deploy.bundle.format import Manifest as ManifestModel
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import BundleError
+from viskill_deploy.motion.waypoints import ActionSpec
 
 Edit = Callable[[dict[str, Any]], None]
 
@@ -34,6 +35,22 @@ def test_a_correct_bundle_loads_and_fits_its_cell(untrained_bundle: Path) -> Non
     assert bundle.manifest.goal_size == 8
     assert set(bundle.sessions) == {"grasp", "handover", "release"}
     check_fits(bundle, load_cell("bipegtransfer"))
+
+
+def test_a_manifest_may_give_one_rotation_for_every_arm_or_one_an_arm(
+    untrained_bundle: Path,
+) -> None:
+    def old(content: dict[str, Any]) -> None:  # as before arms could differ
+        del content["action"]["pitch_rad"]
+
+    edited(untrained_bundle, old)
+    assert load_bundle(untrained_bundle).manifest.action.spec() == ActionSpec()
+    edited(untrained_bundle, lambda c: c["action"].update(rotation=["pitch", "yaw"]))
+    spec = load_bundle(untrained_bundle).manifest.action.spec()
+    assert [spec.mode(arm) for arm in range(2)] == ["pitch", "yaw"]
+    edited(untrained_bundle, lambda c: c["action"].update(rotation=["pitch"]))
+    with pytest.raises(BundleError, match="rotation"):
+        load_bundle(untrained_bundle)
 
 
 @pytest.mark.parametrize("name", [MANIFEST, "skill-grasp.onnx", "MODEL_CARD.md"])

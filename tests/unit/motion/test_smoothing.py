@@ -23,7 +23,7 @@ def follow(seed: int, steps: int) -> list[tuple[tuple[AxisMotion, ...], Segment]
     """Segments of a random policy that changes its mind at every step."""
     rng = np.random.default_rng(seed)
     planner = SegmentPlanner(CELL, PERIOD_S)
-    waypoint = start_waypoint(CELL, ActionSpec())
+    waypoint = start_waypoint(CELL)
     state = tuple(AxisMotion.at_rest(q) for q in START)
     result = []
     for _ in range(steps):

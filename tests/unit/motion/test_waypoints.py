@@ -1,26 +1,29 @@
 """Actions to waypoints: the rule that learning and runtime share."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.description import load_cell, rpy_matrix
 from viskill_deploy.motion.waypoints import (
     BASE_TOLERANCE_M,
     WORKSPACE_INSET_M,
     ActionSpec,
     apply_action,
     downward_pose,
+    pitch_of,
+    pitched_pose,
     start_waypoint,
     yaw_of,
 )
 
 CELL = load_cell("bipegtransfer")
 SPEC = ActionSpec()
-START = start_waypoint(CELL, SPEC)
+START = start_waypoint(CELL)
 STILL = np.array([0.0, 0.0, 0.0, 0.0, -1.0] * 2)
 
 
@@ -42,6 +45,30 @@ def test_a_downward_pose_is_a_proper_pose_with_that_yaw(yaw: float) -> None:
     assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
     np.testing.assert_allclose(T[:3, 2], [0, 0, -1])
     assert yaw_of(T) == pytest.approx(yaw)
+
+
+@given(st.floats(-1.5, 1.5))
+def test_a_pitched_pose_turns_about_y_and_keeps_roll_and_yaw_of_the_eef(pitch: float) -> None:
+    T = pitched_pose((0.01, 0.02, 0.03), pitch)
+    R_eef = np.column_stack([-T[:3, 1], T[:3, 2], -T[:3, 0]])
+    expected = rpy_matrix(math.radians(-15), pitch, -math.pi)
+    np.testing.assert_allclose(R_eef, expected, atol=1e-12)
+    np.testing.assert_allclose(T[:3, 3], (0.01, 0.02, 0.03))
+    assert pitch_of(T) == pytest.approx(pitch)
+
+
+def test_a_rotation_unit_of_an_arm_in_pitch_mode_is_fifteen_degrees_up_to_a_quarter_turn() -> None:
+    spec, poses = ActionSpec(rotation=("pitch", "yaw")), START.T_task_tip
+    waypoint = replace(START, T_task_tip=(pitched_pose((0, 0.03, 0.05), 0.3), poses[1]))
+    action = STILL.copy()
+    action[[3, 8]] = 1.0
+    seen = []
+    for _ in range(6):
+        waypoint = apply_action(waypoint, action, waypoint.T_task_tip, CELL, spec)
+        seen.append(pitch_of(waypoint.T_task_tip[0]))
+    turned = [0.3 + math.radians(15) * (i + 1) for i in range(4)]
+    assert seen == pytest.approx([*turned, math.pi / 2, math.pi / 2])
+    assert yaw_of(waypoint.T_task_tip[1]) == pytest.approx(math.radians(90 + 6 * 30 - 360))
 
 
 def test_a_unit_on_one_axis_is_shortened_to_nine_millimetres() -> None:
