@@ -1,6 +1,6 @@
 """The wall with its pegs and the rings on it as MuJoCo bodies.
 
-A ring is sixteen capsules in a circle. On the board it stands on eight small spheres: eight contacts
+A ring is sixteen capsules in a circle. On the board it lies on eight small spheres: eight contacts
 instead of the thirty-two of sixteen capsules.
 """
 

@@ -1,8 +1,8 @@
 """BiPegBoard: PSM2 pulls a ring off a wall's peg, hands it to PSM1, which lays it over another peg.
 
 Vectors are those of the ViSkill reference task in metres and in the task frame. EEF poses are those
-of the last link (frame 6: y forward, z along the jaw's hinge), whose origin is the tip's. PSM1 works
-in pitch mode, PSM2 in yaw mode. Functions of observations work on one or on many, (..., n).
+of the last link (frame 6: y forward, z along the jaw's hinge), whose origin is the tip's. PSM1
+works in pitch mode, PSM2 in yaw mode.
 """
 
 from __future__ import annotations
@@ -86,6 +86,7 @@ class BiPegBoard:
     wall: Wall
     ring: Ring
     name: str = "bipegboard"
+    batched: bool = True
     skills: tuple[SkillSpec, ...] = SKILLS
     action: ActionSpec = field(
         default_factory=lambda: ActionSpec(jaw_open_rad=JAW_OPEN_RAD, rotation=("pitch", "yaw"))
@@ -126,30 +127,24 @@ class BiPegBoard:
         return Scene(0.0, tuple(objects), f"ring{active}", goal)
 
     def observe(
-        self, T_task_tip: Sequence[FloatArray], jaws: Sequence[float], scene: Scene
-    ) -> FloatArray:
-        """The observation, (35,), laid out as `OBSERVATION`.
-
-        Args:
-            T_task_tip: measured tip of PSM1 and PSM2, (4, 4) each.
-            jaws: measured opening of both jaws, rad.
-            scene: gives the active object's pose.
-        """
-        return self.observation(T_task_tip, jaws, scene.pose(scene.active))
-
-    def observation(
         self,
         T_task_tip: Sequence[FloatArray],
-        jaws: Sequence[npt.ArrayLike],
-        T_task_ring: FloatArray,
+        jaws: Sequence[float | FloatArray],
+        scene: Scene,
     ) -> FloatArray:
-        """Observations (..., 35) from tips (..., 4, 4), jaws (...) and the ring (..., 4, 4)."""
-        place = T_task_ring[..., :3, 3]
-        parts = []
+        """The observation, (..., 35), laid out as `OBSERVATION`.
+
+        Args:
+            T_task_tip: measured tip of PSM1 and PSM2, (..., 4, 4) each.
+            jaws: measured opening of both jaws, (...) each, rad.
+            scene: gives the active object's pose.
+        """
+        T_task_ring = scene.pose(scene.active)
+        place, parts = T_task_ring[..., :3, 3], []
         for arm, T, jaw in zip(self.cell.arms, T_task_tip, jaws, strict=True):
             centre = -math.pi if arm.entry.rotation == "pitch" else 0.0
             angles = fixed_euler(T[..., :3, :3] @ arm.arm.tip_rotation.T, centre)
-            parts += [T[..., :3, 3], angles, np.asarray(jaw, dtype=np.float64)[..., None]]
+            parts += [T[..., :3, 3], angles, np.asarray(jaw)[..., None]]
         parts += [place, *(place - T[..., :3, 3] for T in T_task_tip)]
         angles = fixed_euler(T_task_ring[..., :3, :3] @ FRAME_ROTATION)
         for frame in self.ring.grasp_frame_m:
@@ -201,7 +196,7 @@ class BiPegBoard:
         return thing.touched
 
     def achieved(
-        self, skill: str, observation: FloatArray, flags: Sequence[bool] | npt.NDArray[np.bool_]
+        self, skill: str, observation: FloatArray, flags: Sequence[bool] | FloatArray
     ) -> FloatArray:
         """Positions and contacts in the order of the skill's subgoal, (..., 8)."""
         psm1, psm2 = observation[..., 0:3], observation[..., 7:10]

@@ -46,9 +46,11 @@ OPEN, CLOSE = 0.5, -0.5
 
 HELD_JAW_RAD = (0.12, 0.45)
 OPEN_JAW_RAD = 0.55
-ACROSS_M, SHORT_M, DEEP_M, AT_TURN_RAD = 0.0015, 0.0012, 0.0025, math.radians(5.0)
+ACROSS_M, SHORT_M, DEEP_M, AT_TURN_RAD = 0.0016, 0.0012, 0.0025, math.radians(5.0)
 """A jaw closes when it is so near to a grasp frame: across its way there, before it and beyond."""
-SLACK_M = 0.001
+SLACK_M = 0.0012
+SIDEWAYS = np.array([1.0, 0.6, 0.6])
+"""Along the ring a jaw may be farther from its frame than in x, in which it closes."""
 HELD_M = 0.006
 """How far the ring may slip in a closing jaw and still count as held."""
 FUNNEL = 4.0
@@ -131,7 +133,9 @@ def _grasp(seen: Seen, goal: FloatArray) -> tuple[Move, Move]:
     is_free = pull[..., 0] < FREE_M
     is_lifted = pull[..., 2] < LIFTED_M
     lift = np.stack([psm2.position[..., 0], end[..., 1], end[..., 2]], axis=-1)
-    off = _move(np.where((is_free | is_lifted)[..., None], end, lift), _turn(0.0, psm2.angle), CLOSE)
+    off = _move(
+        np.where((is_free | is_lifted)[..., None], end, lift), _turn(0.0, psm2.angle), CLOSE
+    )
     take = _take(psm2, seen.frames[1], _turn(seen.yaw, psm2.angle), UP, np.zeros_like(psm2.jaw))
     return waiting, _where(_holds(psm2, seen.frames[1]), off, take)
 
@@ -170,15 +174,17 @@ def _release(seen: Seen, goal: FloatArray) -> tuple[Move, Move]:
     return _where(is_low | is_open, leave, lower), _move(goal[..., 0:3], 0.0 * turn, OPEN)
 
 
-def _take(arm: Arm, frame: FloatArray, turn: FloatArray, axis: FloatArray, wait: FloatArray) -> Move:
+def _take(
+    arm: Arm, frame: FloatArray, turn: FloatArray, axis: FloatArray, wait: FloatArray
+) -> Move:
     """Along `axis` down a funnel onto a grasp frame, then close.
 
     `wait` (m) keeps the arm up in the funnel, and so does a jaw that is not open yet.
     """
     to_frame = frame - arm.position
     along = to_frame @ axis
-    off_axis = _length(to_frame - along[..., None] * axis)
-    is_there = (off_axis < ACROSS_M) & (-SHORT_M < along) & (along < DEEP_M)
+    off_axis = _length((to_frame - along[..., None] * axis) * SIDEWAYS)
+    is_there = (off_axis < ACROSS_M) & (along > -SHORT_M) & (along < DEEP_M)
     is_there &= (np.abs(turn) < AT_TURN_RAD) & (wait == 0.0)
     off_turn = np.maximum(0.0, np.abs(turn) - AT_TURN_RAD)
     shut = np.where(arm.jaw < OPEN_JAW_RAD, HOVER_M, 0.0)
