@@ -117,6 +117,33 @@ class Letter(Table):
     mass_kg: Positive
 
 
+class Wall(Table):
+    """An upright plate across the x axis, and the pegs that stand out of it along x."""
+
+    front_x_m: float
+    thickness_m: Positive
+    width_m: Positive
+    height_m: Positive
+    peg_yz_m: tuple[tuple[float, float], ...]
+    peg_radius_m: Positive
+    peg_length_m: Positive
+
+
+class Ring(Table):
+    """A torus; its own axis is x, and z is up while it hangs.
+
+    `radius_m` is that of the circle that the tube's centre runs on, `friction` that against all but
+    the jaws. The two grasp frames are places of the jaw pivot, those of the first and second arm.
+    """
+
+    count: int = Field(gt=0)
+    radius_m: Positive
+    tube_radius_m: Positive
+    mass_kg: Positive
+    friction: Positive
+    grasp_frame_m: tuple[Vector3, Vector3]
+
+
 class Camera(Table):
     """A view of the cell: a point to look from, a point to look at, both in the task frame."""
 
@@ -138,3 +165,5 @@ class CellFile(Table):
     block: Block | None = None
     panel: Panel | None = None
     letter: Letter | None = None
+    wall: Wall | None = None
+    ring: Ring | None = None

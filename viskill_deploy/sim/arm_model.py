@@ -216,6 +216,7 @@ def _add_finger(tip: mujoco.MjsBody, name: str, sign: float, jaw: Jaw) -> None:
         material="steel",
         condim=4,
         friction=FRICTION,
+        priority=2,  # whatever a jaw holds, its own friction decides
         solref=CONTACT_SOLREF,
         solimp=CONTACT_SOLIMP,
         **Touch.FINGER.bits,
