@@ -162,6 +162,11 @@ class SkillLearner:
         dex_rounds = self.round - 1 - self.settings.corrections
         return dex_rounds >= self.settings.rounds or self.passed >= self.settings.passes
 
+    @property
+    def rounds(self) -> int:
+        """How many it takes at most."""
+        return self.settings.rounds + 1
+
     def advance(self) -> dict[str, float]:
         """One round; returns what there is to say about it. The first round imitates."""
         s = self.settings
@@ -176,7 +181,7 @@ class SkillLearner:
             line["imitation"] = self._imitate(steps, last=dex_rounds == 0)
         else:
             line["exploring"] = self._explore()
-            for _ in range(s.updates):
+            for _ in range(s.updates if len(self.experience) else 0):
                 batches = [
                     memory.sample(self.dex.batch, self.dex.hindsight, self._rng)
                     for memory in (self.experience, self._demos)
