@@ -40,10 +40,11 @@ def command(
         from viskill_deploy.train import unit  # noqa: PLC0415 - torch is an extra
         from viskill_deploy.train.evaluate import evaluate  # noqa: PLC0415
         from viskill_deploy.train.results import figures_of  # noqa: PLC0415
+        from viskill_deploy.train.run import Run  # noqa: PLC0415
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "viskill evaluate") from error
     console = Console(stderr=json_)
-    opened = unit.opened(run, lambda line: console.print(line, markup=False), threads)
+    opened = Run.open(run, lambda line: console.print(line, markup=False), threads)
     name = _method(run, method, unit.learned(run))
     known = opened.task.distributions
     if distribution is not None and distribution not in known:

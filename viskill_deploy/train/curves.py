@@ -72,7 +72,9 @@ def draw(folder: Path, stage: str) -> None:
         MissingExtraError: tensorboard or matplotlib is not installed.
     """
     lines = read_log(folder)
-    write_events(folder / EVENTS / stage, [line for line in lines if line["stage"] == stage])
+    rounds = [line for line in lines if line["stage"] == stage and "round" in line]
+    if rounds:
+        write_events(folder / EVENTS / stage, rounds)
     draw_picture(folder / PICTURE, rates_of(lines))
 
 
@@ -86,7 +88,7 @@ def write_events(folder: Path, lines: Iterable[Line]) -> None:
     with SummaryWriter(str(folder)) as writer:
         for line in lines:
             for name, value in line.items():
-                if isinstance(value, int | float) and "round" in line and name != "round":
+                if isinstance(value, int | float) and name != "round":
                     writer.add_scalar(name, value, int(line["round"]))
 
 

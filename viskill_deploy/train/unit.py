@@ -49,8 +49,8 @@ from viskill_deploy.train.results import (
     write_result,
 )
 from viskill_deploy.train.rollout import TaskPolicy
-from viskill_deploy.train.run import SETTINGS, Run, Say, demos_of, skills_of
-from viskill_deploy.train.settings import RunSettings, checked, read_settings
+from viskill_deploy.train.run import Run, Say, demos_of, skills_of
+from viskill_deploy.train.settings import RunSettings, read_settings
 
 TRAINING = "training.json"
 RESULT = "result.json"
@@ -136,20 +136,6 @@ def learn(method: str, run: Run) -> tuple[TaskPolicy, Training]:
 def learned(folder: Path) -> list[str]:
     """The methods that are learned in the folder of a run, sorted."""
     return sorted(path.parent.name for path in folder.glob(f"*/{TRAINING}"))
-
-
-def opened(folder: Path, say: Say = print, threads: int = 1) -> Run:
-    """The run in a folder.
-
-    Raises:
-        TrainingError: there is none.
-    """
-    path = folder / SETTINGS
-    if not path.is_file():
-        raise TrainingError(f"{folder} holds no run; train first, or name the folder of a run")
-    facts = json.loads(path.read_text(encoding="utf-8"))
-    settings = checked(path, RunSettings, facts["settings"])
-    return Run(folder, facts["task"], facts["seed"], settings, say, threads)
 
 
 def measured(
