@@ -102,7 +102,7 @@ def draw_picture(path: Path, curves: Mapping[str, Mapping[str, list[float | None
         raise MissingExtraError("train", "a picture of learning curves") from error
     rows = math.ceil(len(curves) / COLUMNS)
     figure = Figure(figsize=(4.0 * COLUMNS, 2.6 * rows), layout="constrained")
-    panels = figure.subplots(rows, COLUMNS, squeeze=False).flat
+    panels = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
     for panel in panels:
         panel.set_axis_off()
     for panel, (stage, columns) in zip(panels, curves.items(), strict=False):
@@ -117,7 +117,7 @@ def draw_picture(path: Path, curves: Mapping[str, Mapping[str, list[float | None
                 panel.plot(*zip(*points, strict=True), marker=marker, label=name)
         panel.set(title=stage, xlabel="round", ylim=(-0.03, 1.03))
         panel.grid(alpha=0.3)
-        panel.legend(*panel.get_legend_handles_labels(), fontsize="small", loc="lower right")
+        panel.legend(*panel.get_legend_handles_labels(), fontsize="small", loc="best")
     new = path.with_name(f"new-{path.name}")
     figure.savefig(new, dpi=110)
     new.replace(path)

@@ -39,12 +39,13 @@ the order of the methods; that a success rate here is above or below the paper's
 the paper.
 
 Ours: mean ± standard deviation over seeds; each seed is measured in deterministic full-length
-episodes in the learning world, on layouts that neither training nor selection has seen. What
-success, subtasks completed and rollout length mean is written in [learning.md](learning.md). The
-paper's: its Tables I and II, five seeds. "{not_run}" is a cell without a result file.
+episodes in the learning world, on `reference` layouts (and `wide` ones in the last column) that
+neither training nor selection has seen. What success, subtasks completed and rollout length mean is
+written in [learning.md](learning.md). The paper's: its Tables I and II, five seeds.
+"{not_run}" is a cell without a result file.
 
 This page is built by `{command}` from the files in `{source}`, which
-`viskill sweep sweeps/paper.toml` writes.
+`viskill sweep sweeps/paper.toml` writes. They come from commit {commits}.
 """
 
 
@@ -108,7 +109,9 @@ def page(results: Results, folder: Path, output: Path, figure: str) -> str:
     """The whole page as Markdown."""
     command = f"viskill reproduce {folder} -o {output}"
     parts = [
-        INTRODUCTION.format(not_run=NOT_RUN, command=command, source=folder),
+        INTRODUCTION.format(
+            not_run=NOT_RUN, command=command, source=folder, commits=", ".join(_commits(results))
+        ),
         "## Table I: methods\n",
         *(_task_table(results, task, BASELINES) for task in TASKS),
         "## Table II: ablations\n",
@@ -121,6 +124,14 @@ def page(results: Results, folder: Path, output: Path, figure: str) -> str:
         _times(results),
     ]
     return "\n".join(parts)
+
+
+def _commits(results: Results) -> list[str]:
+    """Short names of the commits that results come from; `+` stands for further changes."""
+    known = {result.training.commit for result in results.all}
+    return sorted(
+        "unknown" if commit is None else commit[:9] + "+" * commit.endswith("+") for commit in known
+    )
 
 
 def ablated(results: Results) -> list[str]:
@@ -229,11 +240,16 @@ def _times(results: Results) -> str:
     for method, title in TITLES.items():
         runs = [results.of(task, method) for task in TASKS]
         rows.append([title, *(_seconds(part) for part in runs)])
-    compared = "\n".join(_compared(results, task, hours) for task, hours in CORE_HOURS.items())
+    compared = _table(
+        ("one seed of ViSkill", "official code, core-hours", "ours, core-hours", "times less"),
+        (_compared(results, task, hours) for task, hours in CORE_HOURS.items()),
+    )
     return (
         "Wall time of one seed, mean over seeds: demonstrations and skills, which methods share, "
         "+ what the method adds (+ evaluation and calibration). Other units may have run beside "
-        f"it on the same machine.\n\n{_table(head, rows)}\n{compared}\n"
+        f"it on the same machine.\n\n{_table(head, rows)}\n"
+        "The official code's hours are those of one core, extrapolated from measured rates of its "
+        f"simulator and of its updates.\n\n{compared}"
     )
 
 
@@ -250,13 +266,12 @@ def _shared(result: Result) -> float:
     return sum(s for stage, s in result.training.seconds.items() if stage.startswith(SHARED))
 
 
-def _compared(results: Results, task: str, hours: float) -> str:
-    runs, text = results.of(task, MAIN), f"One seed of ViSkill on {TASKS[task]}: "
-    text += f"{hours:.0f} core-hours with the official code (extrapolated from measured rates), "
+def _compared(results: Results, task: str, hours: float) -> list[str]:
+    runs = results.of(task, MAIN)
     if not runs:
-        return f"{text}ours {NOT_RUN}."
+        return [TASKS[task], f"{hours:.0f}", NOT_RUN, NOT_RUN]
     ours = statistics.fmean(sum(r.training.seconds.values()) * r.training.threads for r in runs)
-    return f"{text}{ours / 3600:.2f} here: {hours * 3600 / ours:.0f} times less."
+    return [TASKS[task], f"{hours:.0f}", f"{ours / 3600:.2f}", f"{hours * 3600 / ours:.0f}"]
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

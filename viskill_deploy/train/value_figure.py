@@ -46,7 +46,7 @@ def _groups(panel: Any, title: str, together: Reliability) -> None:
     for name, group in together.groups.items():
         success = 0.0 if group.success is None else group.success
         panel.bar(name, success, color=COLOURS[name], width=0.6)
-        panel.annotate(f"{success:.2f}\nn = {group.count}", (name, success), ha="center")
+        panel.annotate(f"{success:.2f}\nn = {group.count}", (name, success + 0.02), ha="center")
     panel.set(title=title, xlabel="state value", ylabel="success rate", ylim=(0.0, 1.25))
 
 
