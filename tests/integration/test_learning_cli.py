@@ -21,7 +21,7 @@ from viskill_deploy.train.results import read_result
 SETTINGS = """
 environments = 1
 demos = { episodes = 1, corrected = 1 }
-skill = { imitation_steps = 20, rounds = 0, updates = 1, test_every = 1 }
+skill = { imitation_steps = 20, polish_steps = 1, corrections = 0, rounds = 0, updates = 1 }
 dex = { batch = 8, hidden = 16, critic_first = 1 }
 amounts = { rounds = 2 }
 """

@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from viskill_deploy.core.errors import MissingExtraError, TrainingError
+from viskill_deploy.core.errors import Interrupted, MissingExtraError, TrainingError
 
 EXAMPLE = "Example: viskill sweep sweeps/paper.toml --processes 2"
 
@@ -41,8 +41,11 @@ def command(
     sweep = read_sweep(file)
     if processes is not None:
         sweep = dataclasses.replace(sweep, processes=processes)
-    with _terminated_like_ctrl_c(), SweepBars(Console(stderr=json_), len(sweep.units)) as bars:
-        outcomes = Pool(sweep, bars).run()
+    try:
+        with _terminated_like_ctrl_c(), SweepBars(Console(stderr=json_), len(sweep.units)) as bars:
+            outcomes = Pool(sweep, bars).run()
+    except KeyboardInterrupt as error:
+        raise Interrupted("the sweep was ended; started again it goes on") from error
     if json_:
         units = [{**dataclasses.asdict(o), "log": str(o.log)} for o in outcomes]
         print(json.dumps({"units": units}))

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from viskill_deploy.core.errors import MissingExtraError
+from viskill_deploy.core.errors import Interrupted, MissingExtraError
 
 EXAMPLE = "Example: viskill train bipegtransfer --method viskill --seed 0 --output runs/viskill"
 
@@ -48,9 +48,12 @@ def command(
     if environments is not None:
         chosen = dataclasses.replace(chosen, environments=environments)
     console = Console()
-    with StageBars(console) as bars:
-        run = Run(output, task, seed, chosen, bars.say, threads, bars.watch)
-        _, training = unit.learn(method, run)
+    try:
+        with StageBars(console) as bars:
+            run = Run(output, task, seed, chosen, bars.say, threads, bars.watch)
+            _, training = unit.learn(method, run)
+    except KeyboardInterrupt as error:
+        raise Interrupted("the run was ended; given again, the command goes on") from error
     seconds = ", ".join(f"{stage} {took:.0f} s" for stage, took in training.seconds.items())
     console.print(f"learned: {seconds}", highlight=False, soft_wrap=True)
     console.print(f"now: viskill evaluate {output}", highlight=False, soft_wrap=True)

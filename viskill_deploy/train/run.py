@@ -108,9 +108,8 @@ class Run:
         }
         text, path = json.dumps(facts, indent=1), self.folder / SETTINGS
         if not path.is_file():
-            new = path.with_name(
-                f"{path.name}.{os.getpid()}"
-            )  # several processes may begin at once
+            # several processes may begin at once
+            new = path.with_name(f"{path.name}.{os.getpid()}")
             new.write_text(text, encoding="utf-8")
             new.replace(path)
         if json.loads(path.read_text("utf-8")) != json.loads(text):

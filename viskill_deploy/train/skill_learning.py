@@ -165,7 +165,7 @@ class SkillLearner:
     @property
     def rounds(self) -> int:
         """How many it takes at most."""
-        return self.settings.rounds + 1
+        return 1 + self.settings.corrections + self.settings.rounds
 
     def advance(self) -> dict[str, float]:
         """One round; returns what there is to say about it. The first round imitates."""
