@@ -53,7 +53,7 @@ class Reliability:
 
 def reliability(values: FloatArray, outcomes: npt.NDArray[np.bool_]) -> Reliability:
     """Compares stated probabilities (N,) in [0, 1] with outcomes (N,)."""
-    edges = np.linspace(0.0, 1.0, BINS + 1).tolist()
+    edges = [index / BINS for index in range(BINS + 1)]
     bins = tuple(_bin(values, outcomes, *stretch) for stretch in pairwise(edges))
     groups = {name: _bin(values, outcomes, *stretch) for name, stretch in GROUPS.items()}
     return Reliability(len(values), calibration_error(bins), bins, groups)
