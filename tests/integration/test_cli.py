@@ -257,7 +257,10 @@ def test_inspect_shows_who_gives_subgoals_and_what_every_graph_takes(
 
 
 def test_every_command_has_help_with_an_example(tmp_path: Path) -> None:
-    for command in ("dry-run", "inspect", "doctor", "train", "export"):
+    for command in (
+        *("dry-run", "inspect", "doctor"),
+        *("train", "evaluate", "sweep", "reproduce", "export"),
+    ):
         run = viskill(command, "--help", cwd=tmp_path)
         assert run.returncode == 0
         assert "Example: viskill" in run.stdout

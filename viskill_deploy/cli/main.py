@@ -16,7 +16,16 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import typer
 
-from viskill_deploy.cli import doctor, dry_run, export, inspect, train
+from viskill_deploy.cli import (
+    doctor,
+    dry_run,
+    evaluate,
+    export,
+    inspect,
+    reproduce,
+    sweep,
+    train,
+)
 from viskill_deploy.core.errors import Interrupted, ViskillError
 
 BUG = 70
@@ -32,6 +41,9 @@ app.command("dry-run", epilog=dry_run.EXAMPLE)(dry_run.command)
 app.command("inspect", epilog=inspect.EXAMPLE)(inspect.command)
 app.command("doctor", epilog=doctor.EXAMPLE)(doctor.command)
 app.command("train", epilog=train.EXAMPLE)(train.command)
+app.command("evaluate", epilog=evaluate.EXAMPLE)(evaluate.command)
+app.command("sweep", epilog=sweep.EXAMPLE)(sweep.command)
+app.command("reproduce", epilog=reproduce.EXAMPLE)(reproduce.command)
 app.command("export", epilog=export.EXAMPLE)(export.command)
 
 

@@ -104,13 +104,17 @@ class Chained(FrozenSkills):
         spread: FloatArray | None = None,
     ) -> None:
         super().__init__(skills)
-        self._chaining, self._rng, self._spread = chaining, rng, spread
+        self.chaining, self._rng, self._spread = chaining, rng, spread
+
+    def moved(self, spread: FloatArray) -> Chained:
+        """The same policies' means, their positions moved by `spread`, (count, skills, 6) m."""
+        return Chained(self._skills, self.chaining, None, spread)
 
     def subgoals(self, index: int, obs: FloatArray, loop: VectorLoop) -> FloatArray:
         """What the policies choose, completed by the task."""
         if index == len(loop.task.skills) - 1:
             return final_goals(loop, obs)
-        chosen = self._chaining.choose(index, obs, loop.goals(), self._rng)
+        chosen = self.chaining.choose(index, obs, loop.goals(), self._rng)
         if self._spread is not None:
             chosen = chosen + self._spread[:, index]
         name, scenes = loop.task.skills[index].name, loop.scenes()
@@ -214,6 +218,11 @@ class ChainLearner:
     def finished(self) -> bool:
         """Whether there is nothing left to do."""
         return self.round >= self.amounts.rounds
+
+    @property
+    def rounds(self) -> int:
+        """How many it takes at most."""
+        return self.amounts.rounds
 
     def advance(self) -> dict[str, float]:
         """One round; returns what there is to say about it."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,10 @@ SETTINGS = "settings.json"
 Say = Callable[[str], None]
 """Where progress goes, a line at a time."""
 
+Watch = Callable[[dict[str, Any]], None]
+"""Told about every round (what the log says, and the `rounds` of its stage), and at the end of a
+stage `{"stage": name, "done": True}`."""
+
 
 class Learner(Protocol):
     """Something that learns in rounds."""
@@ -42,6 +47,11 @@ class Learner(Protocol):
     @property
     def finished(self) -> bool:
         """Whether there is nothing left to do."""
+        ...
+
+    @property
+    def rounds(self) -> int:
+        """How many it takes at most."""
         ...
 
     def advance(self) -> dict[str, float]:
@@ -68,6 +78,10 @@ class Run:
         settings: the rest.
         say: told about progress.
         threads: of physics and gradient steps.
+        watch: told the same as facts.
+
+    Attributes:
+        stages: asked for so far, in order.
 
     Raises:
         TrainingError: the folder holds another run.
@@ -79,8 +93,10 @@ class Run:
     settings: RunSettings
     say: Say = print
     threads: int = 1
+    watch: Watch | None = None
 
     def __post_init__(self) -> None:
+        self.stages: list[str] = []
         torch.set_num_threads(self.threads)
         self.task = load_task(self.task_name)
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -91,12 +107,16 @@ class Run:
             "settings": dataclasses.asdict(self.settings),
         }
         text, path = json.dumps(facts, indent=1), self.folder / SETTINGS
-        if path.is_file() and json.loads(path.read_text("utf-8")) != json.loads(text):
+        if not path.is_file():
+            # several processes may begin at once
+            new = path.with_name(f"{path.name}.{os.getpid()}")
+            new.write_text(text, encoding="utf-8")
+            new.replace(path)
+        if json.loads(path.read_text("utf-8")) != json.loads(text):
             raise TrainingError(
                 f"{self.folder} holds a run with another task, seed or settings; "
                 "name an empty folder"
             )
-        path.write_text(text, encoding="utf-8")
 
     @classmethod
     def open(cls, folder: Path, say: Say = print, threads: int = 1) -> Run:
@@ -128,11 +148,13 @@ class Run:
         while not learner.finished:
             started = wall_time()
             line = {"stage": stage, **learner.advance()}
-            line["seconds"] = round(wall_time() - started, 2)
             rounds += 1
             if rounds % save_every == 0 or learner.finished:
                 store.save(path, learner.state())
+            line["seconds"] = round(wall_time() - started, 2)
             self.log(line)
+            if self.watch:
+                self.watch({**line, "rounds": learner.rounds})
 
     def log(self, line: dict[str, Any]) -> None:
         """Adds a line to the log and says it."""
@@ -147,6 +169,8 @@ class Run:
 
     def done(self, stage: str) -> Path | None:
         """The result file of a stage, if it is there."""
+        if stage not in self.stages:
+            self.stages.append(stage)
         path = self.result(stage)
         return path if path.is_file() else None
 
@@ -158,6 +182,8 @@ class Run:
         """Writes the result of a stage and drops what it kept while it ran."""
         store.save(self.result(stage), tree)
         (self.folder / f"{stage}.state.npz").unlink(missing_ok=True)
+        if self.watch:
+            self.watch({"stage": stage, "done": True})
 
 
 def demos_of(run: Run) -> list[SkillDemos]:
@@ -166,8 +192,8 @@ def demos_of(run: Run) -> list[SkillDemos]:
         return [_demos_from(tree) for tree in store.load(path)["skills"]]
     started = wall_time()
     demos = record_demos(run.loop, run.settings.demos, run.settings.distributions, run.seed)
-    run.finish("demos", {"skills": [_demos_tree(d) for d in demos]})
     run.log({"stage": "demos", "seconds": round(wall_time() - started, 1)})
+    run.finish("demos", {"skills": [_demos_tree(d) for d in demos]})
     return demos
 
 
@@ -211,8 +237,9 @@ def skill_learner(run: Run, index: int, learned: tuple[Start, ...]) -> SkillLear
 
 def finish_skill(run: Run, stage: str, learner: SkillLearner) -> None:
     """Writes what `skills_of` gives."""
-    weights = learner.best_weights()
+    weights, started = learner.best_weights(), wall_time()
     ends = _ends(run, learner, actor(run, weights))
+    run.log({"stage": stage, "ends": len(ends), "seconds": round(wall_time() - started, 2)})
     run.finish(
         stage,
         {

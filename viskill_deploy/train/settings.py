@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,18 +42,28 @@ class RunSettings:
 
 
 def read_settings(path: Path | None) -> RunSettings:
-    """The settings of a TOML file, defaults for what it leaves out; all defaults without one.
+    """The settings of a TOML or JSON file, defaults for what it leaves out or without a file.
 
     Raises:
         DataFileError: names file, key and reason.
     """
-    if path is None:
-        return RunSettings()
+    return RunSettings() if path is None else checked(path, RunSettings, content_of(path))
+
+
+def content_of(path: Path) -> dict[str, Any]:
+    """What a TOML file says, or a JSON file if it is named `.json`.
+
+    Raises:
+        DataFileError: it cannot be read.
+    """
+    is_json = path.suffix == ".json"
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise DataFileError(path, "", f"cannot be read as TOML ({error}); correct it") from error
-    return checked(path, RunSettings, content)
+        text = path.read_text(encoding="utf-8")
+        content: dict[str, Any] = json.loads(text) if is_json else tomllib.loads(text)
+    except (OSError, ValueError) as error:  # both kinds of syntax error are ValueErrors
+        kind = "JSON" if is_json else "TOML"
+        raise DataFileError(path, "", f"cannot be read as {kind} ({error}); correct it") from error
+    return content
 
 
 def checked(path: Path, kind: type[T], content: dict[str, Any]) -> T:

@@ -166,6 +166,11 @@ class SkillLearner:
         dex_rounds = self.round - 1 - s.corrections
         return dex_rounds >= s.rounds or self.passed >= s.passes or self.failed >= s.patience
 
+    @property
+    def rounds(self) -> int:
+        """How many it takes at most."""
+        return 1 + self.settings.corrections + self.settings.rounds
+
     def advance(self) -> dict[str, float]:
         """One round; returns what there is to say about it. The first round imitates."""
         s = self.settings
@@ -180,7 +185,7 @@ class SkillLearner:
             line["imitation"] = self._imitate(steps, last=dex_rounds == 0)
         else:
             line["exploring"] = self._explore()
-            for _ in range(s.updates):
+            for _ in range(s.updates if len(self.experience) else 0):
                 batches = [
                     memory.sample(self.dex.batch, self.dex.hindsight, self._rng)
                     for memory in (self.experience, self._demos)

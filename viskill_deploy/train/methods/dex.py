@@ -8,6 +8,8 @@ from viskill_deploy.train.flat import learn_flat
 from viskill_deploy.train.rollout import TaskPolicy
 from viskill_deploy.train.run import Run
 
+NEEDS_SKILLS = False
+
 
 def learn(run: Run) -> TaskPolicy:
     """One policy for the whole task, with about the steps that ViSkill's skills and chain take."""

@@ -11,6 +11,8 @@ from viskill_deploy.train.flat import learn_flat
 from viskill_deploy.train.rollout import TaskPolicy
 from viskill_deploy.train.run import Run
 
+NEEDS_SKILLS = False
+
 STEPS = 6000
 """Gradient steps: twice what each skill of the other methods imitates for."""
 

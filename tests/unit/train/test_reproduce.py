@@ -1,0 +1,104 @@
+from pathlib import Path
+
+import pytest
+from result_files import result, without_success
+
+from viskill_deploy.core.errors import DataFileError, TrainingError
+from viskill_deploy.train.reproduce import order, read_results, reproduce, spread
+from viskill_deploy.train.results import Result, write_result
+
+GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "reproduction.md"
+
+MADE = [
+    *(result("bipegtransfer", "viskill", k, s) for k, s in enumerate((0.98, 0.96, 1.0))),
+    *(result("bipegtransfer", "tstar", k, s) for k, s in enumerate((0.91, 0.87))),
+    result("bipegtransfer", "viskill_sr", 0, 0.99),
+    result("bipegtransfer", "viskill_dm", 0, 0.7),
+    result("bipegtransfer", "self_imitation", 0, 0.9),
+    without_success(result("bipegtransfer", "dex", 0, 0.0)),
+    result("bipegboard", "viskill", 0, 0.95, length=55.5, subtasks=2.9),
+]
+
+
+def written(folder: Path, made: list[Result]) -> Path:
+    for one in made:
+        write_result(folder / f"{one.unit.name}.json", one)
+    return folder
+
+
+def test_the_page_is_built_from_result_files_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path / "results", MADE)
+    page, figure = reproduce(Path("results"), Path("out/reproduction.md"))
+    text = page.read_text(encoding="utf-8")
+    assert text == GOLDEN.read_text(encoding="utf-8")
+    assert "The simulator is ours" in text
+    assert figure.name == "reproduction-value.svg"
+
+
+def test_the_same_results_give_the_same_bytes(tmp_path: Path) -> None:
+    folder = written(tmp_path / "results", MADE)
+    first = [path.read_bytes() for path in reproduce(folder, tmp_path / "a.md")]
+    again = [path.read_bytes() for path in reproduce(folder, tmp_path / "a.md")]
+    assert first == again
+    assert first[1].startswith(b"<?xml")
+
+
+def test_means_stand_with_their_sample_deviation() -> None:
+    assert spread([90.0, 94.0]) == "92.00 ± 2.83"
+    assert spread([90.0]) == "90.00"
+    assert spread([None, 60.0, 62.0]) == "61.00 ± 1.41"
+    assert spread([None]) == "-"
+
+
+def test_where_the_order_of_the_paper_does_not_hold_the_page_says_so(tmp_path: Path) -> None:
+    lines = order(read_results(written(tmp_path, MADE)))
+    transfer, board, panel = lines
+    assert "no: ViSkill-SR (99.0 %) is not behind ViSkill (98.0 %)" in transfer
+    assert "ViSkill-SR (99.0 %) is not behind T-STAR (89.0 %)" in transfer
+    assert "T-STAR (89.0 %) is not behind" not in transfer.replace("behind T-STAR", "")
+    assert "cannot be said" in board
+    assert "not run: ViSkill, T-STAR, DEX, GCBC" in panel
+
+
+def test_an_order_that_holds_is_confirmed(tmp_path: Path) -> None:
+    made = [result("matchboardpanel", m, 0, s) for m, s in (("viskill", 0.9), ("dex", 0.1))]
+    assert "**MatchBoardPanel**: yes." in order(read_results(written(tmp_path, made)))[2]
+
+
+def test_without_any_calibration_the_figure_says_so(tmp_path: Path) -> None:
+    folder = written(tmp_path / "results", [result("bipegtransfer", "gcbc", 0, 0.1)])
+    page, figure = reproduce(folder, tmp_path / "page.md")
+    assert figure.is_file()
+    assert "| 147 | not run | not run |" in page.read_text(encoding="utf-8")
+
+
+def test_a_folder_without_results_and_a_second_result_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(TrainingError, match="no result files"):
+        read_results(tmp_path)
+    one = result("bipegtransfer", "gcbc", 0, 0.1)
+    for name in "ab":
+        write_result(tmp_path / f"{name}.json", one)
+    with pytest.raises(TrainingError, match="second result"):
+        read_results(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('"schema": 1', '"schema": 9', "schema"),
+        ('"success_rate"', '"rate"', "scores.reference"),
+        ('"calibration": null', '"calibration": null, "extra": 1', "extra"),
+        ("{", "[", "JSON"),
+    ],
+)
+def test_a_wrong_result_file_is_refused_by_name(
+    old: str, new: str, says: str, tmp_path: Path
+) -> None:
+    written(tmp_path, [result("bipegtransfer", "gcbc", 0, 0.1)])
+    (path,) = tmp_path.iterdir()
+    path.write_text(path.read_text("utf-8").replace(old, new), encoding="utf-8")
+    with pytest.raises(DataFileError, match=says):
+        read_results(tmp_path)
