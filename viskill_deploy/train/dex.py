@@ -47,8 +47,8 @@ class DexSettings:
     closeness: float = 50.0
     guidance: Literal["imitation", "neighbours"] = "imitation"
     neighbours: int = 5
-    critic_first: int = 500
-    actor_rate: float = 3e-4
+    critic_first: int = 1000
+    actor_rate: float = 3e-5
     critic_rate: float = 1e-3
     tau: float = 0.05
     batch: int = 128

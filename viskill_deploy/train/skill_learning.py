@@ -63,7 +63,7 @@ class SkillSettings:
     corrections: int = 6
     correction_steps: int = 800
     polish_steps: int = 4000
-    rounds: int = 30
+    rounds: int = 9
     updates: int = 500
     test_every: int = 3
     test_lots: int = 1
