@@ -21,9 +21,15 @@ from viskill_deploy.train.results import read_result
 SETTINGS = """
 environments = 1
 demos = { episodes = 1, corrected = 1 }
-skill = { imitation_steps = 20, polish_steps = 1, corrections = 0, rounds = 0, updates = 1 }
 dex = { batch = 8, hidden = 16, critic_first = 1 }
 amounts = { rounds = 2 }
+[skill]
+imitation_steps = 20
+polish_steps = 1
+corrections = 0
+rounds = 0
+updates = 1
+test_every = 1
 """
 
 SWEEP = """
@@ -37,7 +43,7 @@ tasks = ["bipegtransfer"]
 methods = ["dex"]
 seeds = [0]
 [settings]
-""" + SETTINGS.strip()
+""" + SETTINGS.strip().replace("[skill]", "[settings.skill]")
 
 FOLDER = Path("runs/bipegtransfer/seed0")
 

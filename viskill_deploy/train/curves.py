@@ -61,20 +61,21 @@ def rates_of(lines: Iterable[Line]) -> dict[str, dict[str, list[float | None]]]:
     return curves
 
 
-def draw(folder: Path, stage: str) -> None:
-    """Brings the curves of a run up to date when a stage is over.
+def draw(folder: Path, stages: Iterable[str]) -> None:
+    """Brings the curves of a run up to date.
 
     Args:
         folder: of the run.
-        stage: whose TensorBoard file is written; the picture shows all of them.
+        stages: whose TensorBoard files are written; the picture shows all that the log knows.
 
     Raises:
         MissingExtraError: tensorboard or matplotlib is not installed.
     """
     lines = read_log(folder)
-    rounds = [line for line in lines if line["stage"] == stage and "round" in line]
-    if rounds:
-        write_events(folder / EVENTS / stage, rounds)
+    for stage in stages:
+        rounds = [line for line in lines if line["stage"] == stage and "round" in line]
+        if rounds:
+            write_events(folder / EVENTS / stage, rounds)
     draw_picture(folder / PICTURE, rates_of(lines))
 
 

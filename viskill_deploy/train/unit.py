@@ -114,7 +114,7 @@ def learn(method: str, run: Run) -> tuple[TaskPolicy, Training]:
 
     def watch(line: dict[str, Any]) -> None:
         if line.get("done"):
-            curves.draw(run.folder, line["stage"])
+            curves.draw(run.folder, [line["stage"]])
         if tell:
             tell(line)
 
@@ -128,6 +128,7 @@ def learn(method: str, run: Run) -> tuple[TaskPolicy, Training]:
     with alone(path.with_name("lock"), run.say):
         policy = methods.learn(method, run)
         if not path.is_file():
+            curves.draw(run.folder, run.stages)  # also of stages at whose end a process died
             write_json(path, dataclasses.asdict(_training(run)))
     run.watch = tell
     return policy, TypeAdapter(Training).validate_json(path.read_bytes())

@@ -47,7 +47,7 @@ def test_rates_stand_in_columns_with_gaps(tmp_path: Path) -> None:
 
 def test_a_finished_stage_gets_its_tensorboard_file_and_the_picture(tmp_path: Path) -> None:
     for _ in range(2):  # the second time in place of the first
-        draw(logged(tmp_path), "grasp")
+        draw(logged(tmp_path), ["grasp"])
     picture = imageio.v3.imread(tmp_path / "curves.png")[..., :3]
     dark = (picture < 128).any(axis=-1)
     assert dark[:, : picture.shape[1] // 3].sum() > 1000  # three panels wide, two in use

@@ -135,6 +135,23 @@ def test_a_unit_that_was_stopped_while_it_was_measured_is_not_learned_again(
     assert len(evaluated) == 2
 
 
+def test_curves_are_drawn_even_if_a_process_died_just_before(
+    tmp_path: Path, evaluated: list[tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stops(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(unit.curves, "draw", stops)
+        with pytest.raises(KeyboardInterrupt):
+            done(tmp_path)
+    folder = UNIT.run_folder(tmp_path)
+    assert (folder / "counting.npz").is_file()
+    done(tmp_path)
+    assert (folder / "curves.png").is_file()
+    assert (folder / "tensorboard" / "counting").is_dir()
+
+
 def test_stages_of_another_method_in_the_same_run_are_not_counted(
     tmp_path: Path, evaluated: list[tuple[Any, ...]]
 ) -> None:
