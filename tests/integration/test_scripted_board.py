@@ -55,7 +55,7 @@ def run(distribution: str, mode: Mode, episodes: int, seed: int = 0) -> dict[str
 def test_the_gate_never_steps_in_and_every_ring_ends_on_its_peg(
     distribution: str, mode: Mode
 ) -> None:
-    figures = run(distribution, mode, episodes=2)
+    figures = run(distribution, mode, episodes=1)
     assert figures["success_rate"] == 1.0
     assert figures["interventions"] == figures["refused"] == 0
     assert figures["worst_action"] == "PASS"

@@ -115,14 +115,17 @@ def _path(position: FloatArray, name: str, colour: str, width: int) -> list[Figu
 
 
 def _pegs(cell: CellDescription) -> list[Figure]:
-    board = cell.file.board
-    if board is None:
+    board, wall, ends = cell.file.board, cell.file.wall, []
+    if board is not None:
+        ends += [(x, y, 0.0, x, y, board.peg_height_m) for x, y in board.peg_xy_m]
+    if wall is not None:
+        front, tip = wall.front_x_m, wall.front_x_m + wall.peg_length_m
+        ends += [(front, y, z, tip, y, z) for y, z in wall.peg_yz_m]
+    if not ends:
         return []
-    x, y, z = [], [], []
-    for px, py in board.peg_xy_m:
-        x += [1e3 * px, 1e3 * px, None]
-        y += [1e3 * py, 1e3 * py, None]
-        z += [0.0, 1e3 * board.peg_height_m, None]
+    x, y, z = (
+        [v for end in ends for v in (1e3 * end[i], 1e3 * end[i + 3], None)] for i in (0, 1, 2)
+    )
     peg: Figure = {"type": "scatter3d", "mode": "lines", "x": x, "y": y, "z": z, "name": "pegs"}
     return [{**peg, "line": {"color": "#475569", "width": 5}, "hoverinfo": "skip"}]
 

@@ -22,6 +22,8 @@ UP = np.array([0.0, 0.0, 1.0])
 BACK = np.array([0.0, math.cos(PITCH_MODE_TILT_RAD), math.sin(PITCH_MODE_TILT_RAD)])
 """Where PSM1's tool comes from at a pitch of 0."""
 
+LATE_M = 0.003
+"""PSM2 brings the ring so near to the meeting place before PSM1 takes it."""
 HOVER_M = 0.012
 """How far from a grasp frame an arm lines up before it goes there."""
 LIFTED_M = 0.002
@@ -144,8 +146,10 @@ def _handover(seen: Seen, goal: FloatArray) -> tuple[Move, Move]:
     """PSM2 brings the ring, PSM1 takes it, PSM2 lets go, PSM1 carries it on."""
     psm1, psm2 = seen.arms
     meet, end = goal[..., 0:3], goal[..., 3:6]
-    late = np.maximum(0.0, _length(psm2.position - meet) - 0.003)
-    take = _take(psm1, seen.frames[0], _turn(seen.pitch, psm1.angle), BACK, late)
+    way = meet - psm2.position
+    late = np.maximum(0.0, _length(way) - LATE_M)
+    place = seen.frames[0] + np.where((late > 0.0)[..., None], way, 0.0)
+    take = _take(psm1, place, _turn(seen.pitch, psm1.angle), BACK, late)
     is_taken = _holds(psm1, seen.frames[0])
     is_let_go = psm2.jaw > OPEN_JAW_RAD
     carry = _move(np.where(is_let_go[..., None], end, psm1.position), -psm1.angle, CLOSE)
