@@ -2,7 +2,7 @@
 PYTHON ?= python3.11
 VENV   ?= .venv
 BIN    := $(VENV)/bin
-BUNDLE ?= policies/bipegtransfer-imitation
+BUNDLE ?= policies/bipegtransfer-viskill
 # The CPU suffices for training and tests; name another build of torch here if you have a GPU.
 TORCH  ?= torch==2.13.0
 
@@ -40,7 +40,7 @@ wheel-check: $(VENV)/.dev
 	$(PYTHON) -m venv build/wheel/env
 	build/wheel/env/bin/pip install -q build/wheel/*.whl
 	cd build/wheel && ! env/bin/python -c "import torch" 2>/dev/null
-	cd build/wheel && env/bin/viskill dry-run bipegtransfer-imitation --no-video --output run
+	cd build/wheel && env/bin/viskill dry-run bipegtransfer-viskill --no-video --output run
 	@echo "make wheel-check: the wheel dry-ran its bundle without torch; output in build/wheel/run."
 
 # Speed of one control period against pink, in one run.

@@ -98,9 +98,15 @@ def chaining_bundle(untrained_bundle: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def chained_imitation(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A chaining bundle that does BiPegTransfer. Nobody changes it."""
-    return chaining.chained_imitation(tmp_path_factory.mktemp("chained") / "bundle")
+def affinely_chained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A chaining bundle that does BiPegTransfer with known subgoals. Nobody changes it."""
+    return chaining.affinely_chained(tmp_path_factory.mktemp("chained") / "bundle")
+
+
+@pytest.fixture(scope="session")
+def unchained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bundle that does BiPegTransfer under the scripted plan. Nobody changes it."""
+    return chaining.unchained(tmp_path_factory.mktemp("unchained") / "bundle")
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from chaining import chain_graph, replace_file, value_graph
 from viskill_deploy.observe.reading import read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
-BUNDLE = ROOT / "policies" / "bipegtransfer-imitation"
+BUNDLE = ROOT / "policies" / "bipegtransfer-viskill"
 PROMISED = {
     "task",
     "episodes",
@@ -104,12 +104,10 @@ def test_a_served_loopback_in_real_time_streams_setpoint_by_setpoint(
 
 
 def test_a_chaining_bundle_runs_through_the_whole_line_and_tells_what_it_decided(
-    chained_imitation: Path, tmp_path: Path
+    affinely_chained: Path, tmp_path: Path
 ) -> None:
     options = ("--episodes", 2, "--distribution", "wide", "--no-video", "--json")
-    run = viskill(
-        "dry-run", chained_imitation, *options, "--output", tmp_path / "run", cwd=tmp_path
-    )
+    run = viskill("dry-run", affinely_chained, *options, "--output", tmp_path / "run", cwd=tmp_path)
     result = figures(run)
     assert result["success_rate"] == 1.0
     assert result["interventions"] == 0
@@ -127,9 +125,9 @@ def test_a_chaining_bundle_runs_through_the_whole_line_and_tells_what_it_decided
 
 
 def test_low_values_and_refused_subgoals_are_told_in_plain_words(
-    chained_imitation: Path, tmp_path: Path
+    affinely_chained: Path, tmp_path: Path
 ) -> None:
-    copy = shutil.copytree(chained_imitation, tmp_path / "lost")
+    copy = shutil.copytree(affinely_chained, tmp_path / "lost")
     replace_file(copy, "value-grasp.onnx", value_graph(0.25))
     replace_file(copy, "chain-handover.onnx", chain_graph([0.0, 0.0, 0.3, 0.0, 0.0, 0.05]))
     run = viskill("dry-run", copy, "--no-video", "--output", tmp_path / "run", cwd=tmp_path)
@@ -243,9 +241,9 @@ def test_inspect_and_doctor_speak_json(tmp_path: Path) -> None:
 
 
 def test_inspect_shows_who_gives_subgoals_and_what_every_graph_takes(
-    chained_imitation: Path, tmp_path: Path
+    affinely_chained: Path, tmp_path: Path
 ) -> None:
-    run = viskill("inspect", chained_imitation, cwd=tmp_path)
+    run = viskill("inspect", affinely_chained, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     for text in ("chosen by the chaining policy", "low below 0.5", "chain-handover.onnx"):
         assert text in run.stdout

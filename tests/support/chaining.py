@@ -20,7 +20,7 @@ from viskill_deploy.bundle.format import (
 )
 from viskill_deploy.sim.tasks.base import load_task
 
-IMITATION = Path(__file__).resolve().parents[2] / "policies" / "bipegtransfer-imitation"
+SHIPPED = Path(__file__).resolve().parents[2] / "policies" / "bipegtransfer-viskill"
 THRESHOLD = 0.5
 VALUES = {"grasp": 0.8, "handover": 0.9, "release": 0.95}
 
@@ -131,7 +131,17 @@ def replace_file(folder: Path, name: str, content: bytes) -> None:
     resign(folder)
 
 
-def chained_imitation(folder: Path) -> Path:
-    """The shipped imitation skills, chained by affine graphs: a bundle that does the task."""
-    shutil.copytree(IMITATION, folder)
+def affinely_chained(folder: Path) -> Path:
+    """The shipped skills, chained by affine graphs: a bundle that does the task."""
+    shutil.copytree(SHIPPED, folder)
     return make_chaining(folder)
+
+
+def unchained(folder: Path) -> Path:
+    """The shipped skills alone; the scripted plan gives their subgoals."""
+    shutil.copytree(SHIPPED, folder)
+    for pattern in ("chain-*.onnx", "value-*.onnx"):
+        for path in folder.glob(pattern):
+            path.unlink()
+    resign(folder, name="unchained", subgoals="scripted", chaining=None, value=None)
+    return folder

@@ -26,7 +26,7 @@ from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.preflight import Prepared, prepare
 from viskill_deploy.sim.world import WorldOptions
 
-EXAMPLE = "Example: viskill dry-run policies/bipegtransfer-imitation --episodes 5 --seed 1"
+EXAMPLE = "Example: viskill dry-run policies/bipegtransfer-viskill --episodes 5 --seed 1"
 
 MISSED = 1
 

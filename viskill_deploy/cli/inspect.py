@@ -18,7 +18,7 @@ SUBGOALS = {
     "chaining": "chosen by the chaining policy; the last skill's by the task",
 }
 
-EXAMPLE = "Example: viskill inspect policies/bipegtransfer-imitation"
+EXAMPLE = "Example: viskill inspect policies/bipegtransfer-viskill"
 
 
 def command(

@@ -36,4 +36,4 @@ def test_a_users_file_goes_first_and_is_known_to_shadow_the_packaged_one(
 
 
 def test_a_bundle_may_be_named_without_its_folder() -> None:
-    assert find_bundle(Path("bipegtransfer-imitation")).is_dir()
+    assert find_bundle(Path("bipegtransfer-viskill")).is_dir()

@@ -51,16 +51,16 @@ def run(bundle: Path, mode: Mode = "closed-loop", episodes: int = 1) -> tuple[Ou
 
 
 @pytest.fixture
-def copy(chained_imitation: Path, tmp_path: Path) -> Path:
+def copy(affinely_chained: Path, tmp_path: Path) -> Path:
     """A bundle that does the task, to be spoiled."""
-    return shutil.copytree(chained_imitation, tmp_path / "copy")
+    return shutil.copytree(affinely_chained, tmp_path / "copy")
 
 
 @pytest.mark.parametrize("mode", ["closed-loop", "plan"])
 def test_the_task_is_done_with_chosen_subgoals_and_every_start_is_told(
-    chained_imitation: Path, mode: Mode
+    affinely_chained: Path, mode: Mode
 ) -> None:
-    outcome, notebook = run(chained_imitation, mode)
+    outcome, notebook = run(affinely_chained, mode)
     figures = outcome.figures
     assert outcome.failure is None
     assert figures["success_rate"] == 1.0
@@ -78,8 +78,8 @@ def test_the_task_is_done_with_chosen_subgoals_and_every_start_is_told(
         assert sum(part["size"] for part in figures["subgoal_layout"]) == len(told["subgoal"])
 
 
-def test_a_scripted_bundle_tells_its_subgoals_too_and_no_value() -> None:
-    outcome, notebook = run(Path("bipegtransfer-imitation"))
+def test_a_scripted_bundle_tells_its_subgoals_too_and_no_value(unchained: Path) -> None:
+    outcome, notebook = run(unchained)
     (episode,) = outcome.figures["episode_results"]
     assert {s["subgoal_source"] for s in episode["skills"]} == {"scripted"}
     assert {s["value"] for s in episode["skills"]} == {None}

@@ -34,7 +34,7 @@ def ready() -> Iterator[tuple[Plan, LoopbackDriver]]:
     driver.reset(TASK.sample_layout(rng, "reference"))
     driver.enable()
     driver.home()
-    bundle = load_bundle(ROOT / "policies" / "bipegtransfer-imitation")
+    bundle = load_bundle(ROOT / "policies" / "bipegtransfer-viskill")
     plan = made(bundle, driver, axes_of(driver.state()), rng)
     yield plan, driver
     driver.close()
@@ -97,7 +97,7 @@ def test_arms_that_start_inside_their_cannulas_are_a_named_refusal_not_a_motion(
     _, driver = ready
     axes = axes_of(driver.state())
     axes[0, 2] = 0.02
-    bundle = load_bundle(ROOT / "policies" / "bipegtransfer-imitation")
+    bundle = load_bundle(ROOT / "policies" / "bipegtransfer-viskill")
     with pytest.raises((MotionError, NoSolutionError)):
         made(bundle, driver, axes, np.random.default_rng(0))
 

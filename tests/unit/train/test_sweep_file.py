@@ -3,9 +3,8 @@ from pathlib import Path
 import pytest
 
 from viskill_deploy.core.errors import DataFileError
-from viskill_deploy.sim.tasks.base import task_names
-from viskill_deploy.train import sweep_file
 from viskill_deploy.train.results import Unit
+from viskill_deploy.train.settings import read_settings
 from viskill_deploy.train.sweep_file import merged, read_sweep
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -94,12 +93,20 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
         read_sweep(tmp_path / "none.toml")
 
 
-def test_the_shipped_sweep_is_the_papers_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
-    tasks = sorted({*task_names(), "bipegboard", "matchboardpanel"})
-    monkeypatch.setattr(sweep_file, "task_names", lambda: tasks)
+def test_the_shipped_sweep_is_the_papers_protocol() -> None:
     sweep = read_sweep(ROOT / "sweeps" / "paper.toml")
     assert sweep.results == Path("docs/results")
     assert sweep.measuring.episodes >= 100
     assert len(sweep.units) == 3 * 5 + 3 * 3 * 3 + 4 * 3
     assert {unit.method for unit in sweep.units[:15]} == {"viskill"}
     assert Unit("bipegtransfer", "viskill_ldm", 2) in sweep.units
+
+
+def test_the_published_numbers_of_dex_are_settings_of_a_run() -> None:
+    settings = read_settings(ROOT / "sweeps" / "published_dex.toml")
+    assert (settings.dex.guidance, settings.dex.closeness, settings.dex.tau) == (
+        "neighbours",
+        5.0,
+        0.05,
+    )
+    assert settings.skill.corrections == 0
