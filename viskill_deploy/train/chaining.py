@@ -151,12 +151,16 @@ class Chaining:
         task_goal: AnyFloatArray,
         positions: AnyFloatArray,
     ) -> FloatArray:
-        """P(the whole task succeeds) at the start of a skill with a subgoal, (N,)."""
+        """P(the whole task succeeds) at the start of a skill with a subgoal, (N,).
+
+        The first of the two networks says it. The smaller of both, which learning climbs, is too
+        low.
+        """
         with torch.no_grad():
             x = _tensor(np.concatenate([obs, task_goal, positions[:, :POSITIONS]], axis=1))
-            both = [torch.sigmoid(v(x))[:, 0] for v in self.values[index]]
-        mean: FloatArray = torch.stack(both).mean(dim=0).numpy().astype(np.float64)
-        return mean
+            logit = self.values[index][0](x)[:, 0]
+        probability: FloatArray = torch.sigmoid(logit).numpy().astype(np.float64)
+        return probability
 
     def update(
         self, index: int, online: Transitions, reached: Transitions | None

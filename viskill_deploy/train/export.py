@@ -142,9 +142,10 @@ def graphs_of(trained: Trained) -> dict[str, bytes]:
         name = skill_file(skill.name)
         graphs[name] = _checked(name, skill_graph(skill_scale, weights, n, m), feed, act(obs, goal))
         name = value_file(skill.name)
-        pair = [network.weights() for network in chaining.values[index]]
         wished = chaining.probability(index, obs, goals3, goal[:, :POSITIONS])[:, None]
-        graphs[name] = _checked(name, value_graph(value_scale, pair, n, m), feed, wished)
+        graphs[name] = _checked(
+            name, value_graph(value_scale, chaining.values[index][0].weights(), n, m), feed, wished
+        )
         if index < len(task.skills) - 1:
             name = chain_file(skill.name)
             policy = chaining.policies[index].network.weights()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import numpy.typing as npt
 import onnx
@@ -121,21 +119,19 @@ def chain_graph(scaling: Scaling, weights: Weights, space: SubgoalSpace, observa
     return g.finished(g.node("Add", metres, g.constant(space.centre)), "subgoal", POSITIONS)
 
 
-def value_graph(scaling: Scaling, weights: Sequence[Weights], observation: int, goal: int) -> bytes:
+def value_graph(scaling: Scaling, weights: Weights, observation: int, goal: int) -> bytes:
     """`obs`, `task_goal` [N, 3], `subgoal` [N, goal] → `value` [N, 1], a probability.
 
     Args:
         scaling: of [obs, task_goal, positions of the subgoal].
-        weights: of both value networks; their mean comes out.
+        weights: of the value.
         observation: length of the observation.
         goal: length of the complete subgoal; only its positions count.
     """
     g = _Graph(obs=observation, task_goal=3, subgoal=goal)
     positions = g.columns("subgoal", 0, POSITIONS)
     features = g.features(g.node("Concat", "obs", "task_goal", positions, axis=1), scaling)
-    both = [g.node("Sigmoid", g.head(features, part)) for part in weights]
-    total = g.node("Add", *both)
-    return g.finished(g.node("Mul", total, g.constant([1.0 / len(both)])), "value", 1)
+    return g.finished(g.node("Sigmoid", g.head(features, weights)), "value", 1)
 
 
 def _tensor(name: str, size: int) -> onnx.ValueInfoProto:

@@ -50,13 +50,13 @@ def test_a_chain_graph_gives_positions_in_metres() -> None:
     assert np.abs(found - (space.centre + space.half * image)).max() < 1e-6
 
 
-def test_a_value_graph_gives_the_mean_probability_and_reads_positions_alone() -> None:
+def test_a_value_graph_gives_a_probability_and_reads_positions_alone() -> None:
     layout = value_layout(TASK)
-    pair = [network(layout, 1), Network(scaling_of(TASK, layout), 1)]
+    value = network(layout, 1)
     x = states(50, OBS + 3 + 6)
-    graph = value_graph(scaling_of(TASK, layout), [n.weights() for n in pair], OBS, GOAL)
+    graph = value_graph(scaling_of(TASK, layout), value.weights(), OBS, GOAL)
     with torch.no_grad():
-        wished = sum(torch.sigmoid(n(torch.from_numpy(x))) for n in pair).numpy() / 2
+        wished = torch.sigmoid(value(torch.from_numpy(x))).numpy()
     for flags in (0.0, 1.0):
         subgoal = np.concatenate([x[:, OBS + 3 :], np.full((50, 2), flags, np.float32)], axis=1)
         found = run(graph, obs=x[:, :OBS], task_goal=x[:, OBS : OBS + 3], subgoal=subgoal)
