@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from viskill_deploy.core.description import load_cell, rpy_matrix
@@ -47,6 +47,7 @@ def test_a_downward_pose_is_a_proper_pose_with_that_yaw(yaw: float) -> None:
     assert yaw_of(T) == pytest.approx(yaw)
 
 
+@settings(deadline=None)
 @given(st.floats(-1.5, 1.5))
 def test_a_pitched_pose_turns_about_y_and_keeps_roll_and_yaw_of_the_eef(pitch: float) -> None:
     T = pitched_pose((0.01, 0.02, 0.03), pitch)
