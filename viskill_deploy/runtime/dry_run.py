@@ -29,6 +29,9 @@ from viskill_deploy.runtime.preflight import Prepared
 from viskill_deploy.runtime.session import Recorder, Session
 from viskill_deploy.sim.world import WorldOptions
 
+LAYOUTS = 2**29
+"""First number of the seeds of layouts: training never uses it."""
+
 Mode = Literal["closed-loop", "plan"]
 
 
@@ -117,7 +120,7 @@ def _go_on(session: Session) -> None:
 def _episode(
     session: Session, prepared: Prepared, options: DryRunOptions, episode: int
 ) -> EpisodeResult:
-    rng = np.random.default_rng([options.seed, episode])
+    rng = np.random.default_rng([LAYOUTS, options.seed, episode])
     distribution = options.distribution
     if distribution is None and (episode == 0 or options.mode == "closed-loop"):
         distribution = prepared.task.distributions[0]

@@ -61,6 +61,7 @@ class VectorLoop:
         options: of their worlds; noise has to be off. Perfect ones at 4 ms by default.
         bystanders: whether their worlds hold the free things that are not to be moved; quicker and
             the same without, as long as nothing would have touched them (see `VectorPhysics`).
+        threads: of physics; the result does not depend on it.
 
     Attributes:
         task, count: as given.
@@ -75,9 +76,12 @@ class VectorLoop:
         count: int,
         options: WorldOptions | None = None,
         bystanders: bool = True,
+        threads: int = 1,
     ) -> None:
         self.task, self.count = task, count
-        self._physics = VectorPhysics(task.cell, count, options or WorldOptions(), bystanders)
+        self._physics = VectorPhysics(
+            task.cell, count, options or WorldOptions(), bystanders, threads
+        )
         self._period_s = self._physics.world.options.period_s
         self._planner = VectorPlanner(task.cell, self._period_s)
         home = self._physics.world.home

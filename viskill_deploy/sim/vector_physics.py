@@ -30,6 +30,7 @@ class VectorPhysics:
         bystanders: whether a world holds the free things that are not its active object. Without
             them a step is up to twice as quick and the same to the last bit, as long as nothing
             would have touched one; they are then seen where the scene of the reset had put them.
+        threads: of physics.
 
     Attributes:
         world: a world that holds everything.
@@ -39,14 +40,20 @@ class VectorPhysics:
     """
 
     def __init__(
-        self, cell: CellDescription, count: int, options: WorldOptions, bystanders: bool = True
+        self,
+        cell: CellDescription,
+        count: int,
+        options: WorldOptions,
+        bystanders: bool = True,
+        threads: int = 1,
     ) -> None:
         if max(options.joint_noise_rad, options.joint_noise_m, options.object_noise_m) > 0.0:
             raise ValueError("worlds side by side are without noise; set the noises to 0")
         self.world, self.count, self._bystanders = World(cell, options), count, bystanders
+        self._threads = threads
         self._groups: dict[str, Worlds] = {}
         if bystanders:
-            self._groups[EVERYTHING] = Worlds(self.world, count)
+            self._groups[EVERYTHING] = Worlds(self.world, count, threads)
         self._active = [(*self.world.things, "")[0]] * count
         self._started: npt.NDArray[np.bool_] = np.zeros(count, dtype=bool)
         self._goal: FloatArray = np.zeros((count, 3))
@@ -163,7 +170,7 @@ class VectorPhysics:
         """The worlds of a kind, made when the first of them is needed."""
         if kind not in self._groups:
             world = World(self.world.cell, self.world.options, only=kind)
-            self._groups[kind] = Worlds(world, self.count)
+            self._groups[kind] = Worlds(world, self.count, self._threads)
         return self._groups[kind]
 
     def _running(self) -> list[tuple[Worlds, IntArray]]:

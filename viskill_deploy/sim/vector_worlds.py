@@ -1,4 +1,4 @@
-"""Many worlds of one model in one thread: MuJoCo's batch behind the words of `World`."""
+"""Many worlds of one model in one process: MuJoCo's batch behind the words of `World`."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ class Worlds:
     Args:
         world: one of their kind, which lends its model and its knowledge of it.
         count: number of worlds.
+        threads: that share their steps; the result does not depend on it.
 
     Attributes:
         world: as given.
         state: MuJoCo's integration state of every world, (N, size).
     """
 
-    def __init__(self, world: World, count: int) -> None:
+    def __init__(self, world: World, count: int, threads: int = 1) -> None:
         self.world = world
-        self._batch = Batch(world.model, count, nthread=1, persistent=True)
+        self._batch = Batch(world.model, count, nthread=threads, persistent=True)
         self._poses = ThingPoses(world.model, world.things)
         self._qpos, self._time = self._batch.bind("qpos"), self._batch.bind("time")
         self._joints = world.arm_qpos

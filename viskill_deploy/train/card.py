@@ -48,8 +48,8 @@ policies, full-length episodes, layouts that neither training nor selection has 
 ## How it was trained
 Skills: imitation of {demos} demonstrations and {corrected} disturbed, corrected ones of the task's
 scripted controller, then DEX with goals in hindsight. Chaining: SAC with self-imitation over frozen
-skills, values without discount. Seed {seed}. `viskill train {task} --method {method} --seed {seed}`
-and `viskill export` rebuild it.
+skills, values without discount. Seed {seed}. `viskill train {task} --method {method} --seed {seed}
+--output RUN` and `viskill export RUN` do it again.
 
 ## Limits
 - Trained and measured in simulation only. Nothing here says how it does on a real robot, where

@@ -166,6 +166,7 @@ class Memory:
             task_goal=held.task_goal[rows],
             positions=held.subgoal[rows, index, :POSITIONS],
             next_obs=held.obs[rows, index + 1],
+            next_positions=held.subgoal[rows, follower, :POSITIONS],
             ended=ended.astype(np.float32),
             outcome=held.success[rows].astype(np.float32),
             next_reached=held.reached[rows, follower].astype(np.float32),
@@ -271,7 +272,7 @@ class ChainLearner:
         reach = self.amounts.spread_m * self._rng.random((count, 1))
         by = reach * self._rng.uniform(-1.0, 1.0, (count, POSITIONS))
         spread[np.flatnonzero(moved), which[moved]] = by[moved]
-        return spread
+        return spread * self.chaining.space.free
 
     def _test(self) -> float:
         rng = np.random.default_rng((self.seed + VALIDATION, 100))  # the same layouts every time

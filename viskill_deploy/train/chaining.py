@@ -6,10 +6,11 @@ probability that the whole task succeeds; it is learned backwards from the outco
 (equation 3), and the chaining policies climb it while they also imitate subgoals that were reached
 (SAC with self-imitation, no entropy).
 
-Differences from the official code, all deliberate: the policy gradient really runs; rewards of the
-last skill stay with their episode; middle skills are judged by the subgoal that they were given;
-inputs are scaled; values are probabilities, fitted by cross-entropy, which has its minimum where
-the squared error has it.
+Differences from the official code, all deliberate: the policy gradient really runs; values learn
+from all transitions alike, not from reached subgoals twice, which makes them too high; rewards of
+the last skill stay with their episode; middle skills are judged by the subgoal that they were
+given; inputs are scaled; values are probabilities, fitted by cross-entropy, which has its minimum
+where the squared error has it.
 """
 
 from __future__ import annotations
@@ -62,6 +63,7 @@ class Transitions:
         obs, task_goal: at the start, (B, n), (B, 3).
         positions: the subgoal's, (B, 6).
         next_obs: at the start of the next skill, (B, n).
+        next_positions: the next skill's subgoal as it was, (B, 6).
         ended: the episode ended here: it could not be followed, or this is the last skill, (B,).
         outcome: whether the whole task succeeded in the end, (B,).
         next_reached: whether the next skill reached its subgoal, (B,).
@@ -71,6 +73,7 @@ class Transitions:
     task_goal: Float32Array
     positions: Float32Array
     next_obs: Float32Array
+    next_positions: Float32Array
     ended: Float32Array
     outcome: Float32Array
     next_reached: Float32Array
@@ -170,7 +173,8 @@ class Chaining:
         Args:
             index: of the skill.
             online: any transitions.
-            reached: transitions whose skill reached its subgoal; None where there are none.
+            reached: transitions whose skill reached its subgoal, to imitate; None where there are
+                none. Values never learn from them alone: they are chosen by what happened later.
         """
         line = {"value": self._step_values(index, online)}
         if index == self.skills - 1:
@@ -180,7 +184,6 @@ class Chaining:
             climb = self.climb_loss(index, online)
             loss, line["climb"] = loss + climb, float(climb.detach())
         if reached is not None:
-            line["value"] = self._step_values(index, reached)
             imitation = self.imitation_loss(index, reached)
             loss = loss + self.settings.imitation * imitation
             line["imitation"] = float(imitation.detach())
@@ -193,7 +196,8 @@ class Chaining:
 
         The last skill's, and where an episode ends: the outcome. The skill before the last: the
         outcome too, because the last one leaves no choice and its outcome belongs to the episode.
-        Others: the next skill's value of what its policy would choose.
+        Others: the next skill's value of what its policy would choose, the mean of both networks:
+        the smaller one would make earlier skills look worse than they are.
         """
         outcome = _tensor(batch.outcome)
         if index >= self.skills - 2:
@@ -204,7 +208,9 @@ class Chaining:
             mean, log_std = follower.parameters(follower.network.features(x))
             noise = self._noise(mean)
             chosen = torch.tanh(mean + noise * log_std.exp())
-            later = self._least(self.targets[index + 1], x, self._metres(chosen))
+            free = follower.free > 0.0
+            given = torch.where(free, self._metres(chosen), _tensor(batch.next_positions))
+            later = self._mean(self.targets[index + 1], x, given)
         return torch.where(_tensor(batch.ended) > 0.0, outcome, later)
 
     def value_loss(self, index: int, batch: Transitions, target: torch.Tensor) -> torch.Tensor:
@@ -272,9 +278,12 @@ class Chaining:
     def _least(
         self, pair: Sequence[Network], x: torch.Tensor, positions: torch.Tensor
     ) -> torch.Tensor:
-        judged = torch.cat([x, positions], dim=1)
-        logits = torch.cat([network(judged) for network in pair], dim=1)
-        return torch.sigmoid(logits.min(dim=1).values)
+        return _both(pair, x, positions).min(dim=1).values
+
+    def _mean(
+        self, pair: Sequence[Network], x: torch.Tensor, positions: torch.Tensor
+    ) -> torch.Tensor:
+        return _both(pair, x, positions).mean(dim=1)
 
     def _judged(self, batch: Transitions) -> torch.Tensor:
         return _tensor(np.concatenate([batch.obs, batch.task_goal, batch.positions], axis=1))
@@ -315,6 +324,12 @@ class Chaining:
         for parts, pair in zip(tree["targets"], self.targets, strict=True):
             for part, network in zip(parts, pair, strict=True):
                 restore(part, network)
+
+
+def _both(pair: Sequence[Network], x: torch.Tensor, positions: torch.Tensor) -> torch.Tensor:
+    """Probabilities of both networks, (N, 2)."""
+    judged = torch.cat([x, positions], dim=1)
+    return torch.sigmoid(torch.cat([network(judged) for network in pair], dim=1))
 
 
 def _tensor(values: AnyFloatArray) -> torch.Tensor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -119,6 +120,6 @@ def draw_picture(path: Path, curves: Mapping[str, Mapping[str, list[float | None
         panel.set(title=stage, xlabel="round", ylim=(-0.03, 1.03))
         panel.grid(alpha=0.3)
         panel.legend(*panel.get_legend_handles_labels(), fontsize="small", loc="best")
-    new = path.with_name(f"new-{path.name}")
+    new = path.with_name(f"new-{os.getpid()}-{path.name}")  # methods of one run learn side by side
     figure.savefig(new, dpi=110)
     new.replace(path)

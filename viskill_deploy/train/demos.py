@@ -13,7 +13,7 @@ from viskill_deploy.motion.waypoints import ACTION_SIZE
 from viskill_deploy.sim import vector_task
 from viskill_deploy.sim.tasks.base import AnyFloatArray, Task
 from viskill_deploy.sim.vector_loop import VectorLoop
-from viskill_deploy.train.replay import Episodes
+from viskill_deploy.train.replay import Episodes, Float32Array
 from viskill_deploy.train.rollout import (
     Act,
     Start,
@@ -23,6 +23,9 @@ from viskill_deploy.train.rollout import (
     run_skill,
     saved,
 )
+
+TRIES = 5
+"""Lots without one finished episode after which the script is given up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +52,16 @@ class SkillDemos:
         clean: episodes in which every skill reached its subgoal; row e of each skill is of the
             same one.
         corrected: disturbed ones, labelled by the script; rows likewise.
-        starts: where they began.
+        starts: where the script began the skill, in these and in other episodes.
+        clean_aims, corrected_aims: the task's own goal as it stands at the start of each episode,
+            as a subgoal of the last skill, (E, m).
     """
 
     clean: Episodes
     corrected: Episodes
     starts: tuple[Start, ...]
+    clean_aims: Float32Array
+    corrected_aims: Float32Array
 
 
 def script(task: Task, index: int) -> Act:
@@ -72,10 +79,12 @@ def record_demos(
 ) -> list[SkillDemos]:
     """Demonstrations of every skill, (skills,)."""
     rng = np.random.default_rng((seed, 0))
-    clean, starts = _lots(loop, settings.episodes, 0.0, distributions, rng)
-    corrected, _ = _lots(loop, settings.corrected, settings.disturbance, distributions, rng)
+    clean, starts, clean_aims = _lots(loop, settings.episodes, 0.0, distributions, rng)
+    corrected, _, corrected_aims = _lots(
+        loop, settings.corrected, settings.disturbance, distributions, rng
+    )
     return [
-        SkillDemos(_one(a), _one(b), tuple(s))
+        SkillDemos(_one(a), _one(b), tuple(s), clean_aims, corrected_aims)
         for a, b, s in zip(clean, corrected, starts, strict=True)
     ]
 
@@ -86,15 +95,17 @@ def _lots(
     disturbance: float,
     distributions: Sequence[str],
     rng: np.random.Generator,
-) -> tuple[list[list[Episodes]], list[list[Start]]]:
+) -> tuple[list[list[Episodes]], list[list[Start]], Float32Array]:
     """Whole tasks until there are `wanted`; row e of every skill is of the same episode."""
     task = loop.task
     episodes: list[list[Episodes]] = [[] for _ in task.skills]
     starts: list[list[Start]] = [[] for _ in task.skills]
+    aims: list[FloatArray] = []
+    tries = 0
     while sum(map(len, episodes[0])) < wanted:
         plans = fresh(loop, rng, distributions)
         noise, good = push(loop, disturbance, rng), np.ones(loop.count, dtype=bool)
-        lot = []
+        lot, aim = [], final_goals(loop, loop.observe())
         for index in range(len(task.skills)):
             starts[index] += saved(loop, plans)
             goals = plans[:, index]
@@ -107,11 +118,13 @@ def _lots(
         rows = np.flatnonzero(good)
         for part, got in zip(episodes, lot, strict=True):
             part.append(got.only(rows))
-        if not len(rows):
+        aims.append(aim[rows])
+        tries = 0 if len(rows) else tries + 1
+        if tries >= TRIES:
             raise TrainingError(
                 f"the scripted controller never finished {task.name}; mend it before training"
             )
-    return episodes, starts
+    return episodes, starts, np.concatenate(aims).astype(np.float32)
 
 
 def push(loop: VectorLoop, largest: float, rng: np.random.Generator) -> FloatArray:

@@ -71,6 +71,8 @@ def load_trained(run: Run, method: str) -> Trained:
     Raises:
         TrainingError: the run is not finished.
     """
+    if method in {"dex", "gcbc", "tstar"}:
+        raise TrainingError(f"{method} has no chaining policy to export; choose a chaining method")
     stages = [f"skill-{skill.name}" for skill in run.task.skills] + [f"chain-{method}"]
     for stage in stages:
         if not run.done(stage):
@@ -116,7 +118,7 @@ def export(
     for name, graph in graphs.items():
         (output / name).write_bytes(graph)
     command = f"viskill export {os.path.relpath(run.folder)} {os.path.relpath(output)}"
-    command += f" --episodes {episodes} --seed {seed}"
+    command += f" --method {trained.method} --episodes {episodes} --seed {seed}"
     manifest = build_manifest(trained, scores, command)
     (output / CARD).write_text(model_card(manifest, run.settings, scores, command), "utf-8")
     write_manifest(output, manifest)

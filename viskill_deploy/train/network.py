@@ -108,6 +108,8 @@ def _places(task: Task, layout: Layout, starts: dict[str, int]) -> list[tuple[in
         if name.endswith("_position") and name not in tips and name not in seen
     ]
     pairs = [*product([*seen, *goals], tips), *product(goals, seen), *combinations(goals, 2)]
+    wished = [(name, name.replace("_goal", "")) for name in seen if "_goal_position" in name]
+    pairs += [pair for pair in wished if pair[1] in seen]
     return [(starts[a] + axis, starts[b] + axis) for a, b in pairs for axis in range(3)]
 
 

@@ -136,7 +136,7 @@ class Run:
     def loop(self) -> VectorLoop:
         """The environments, made when first used."""
         if self._loop is None:
-            self._loop = VectorLoop(self.task, self.settings.environments)
+            self._loop = VectorLoop(self.task, self.settings.environments, threads=self.threads)
         return self._loop
 
     def learn(self, stage: str, learner: Learner, save_every: int = 1) -> None:
@@ -158,8 +158,12 @@ class Run:
 
     def log(self, line: dict[str, Any]) -> None:
         """Adds a line to the log and says it."""
-        with (self.folder / LOG).open("a", encoding="utf-8") as log:
-            log.write(json.dumps({key: _plain(value) for key, value in line.items()}) + "\n")
+        path = self.folder / LOG
+        torn = path.is_file() and not path.read_bytes().endswith(b"\n")  # killed while writing
+        with path.open("a", encoding="utf-8") as log:
+            log.write(
+                "\n" * torn + json.dumps({key: _plain(value) for key, value in line.items()}) + "\n"
+            )
         facts = ", ".join(
             f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
             for key, value in line.items()
@@ -290,6 +294,8 @@ def _demos_tree(demos: SkillDemos) -> store.Tree:
         "clean": demos.clean.tree(),
         "corrected": demos.corrected.tree(),
         "starts": [start.tree() for start in demos.starts],
+        "clean_aims": demos.clean_aims,
+        "corrected_aims": demos.corrected_aims,
     }
 
 
@@ -298,4 +304,6 @@ def _demos_from(tree: dict[str, Any]) -> SkillDemos:
         Episodes(**tree["clean"]),
         Episodes(**tree["corrected"]),
         tuple(Start.of(part) for part in tree["starts"]),
+        tree["clean_aims"],
+        tree["corrected_aims"],
     )

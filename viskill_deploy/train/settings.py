@@ -40,6 +40,25 @@ class RunSettings:
     chain: ChainSettings = field(default_factory=ChainSettings)
     amounts: ChainAmounts = field(default_factory=ChainAmounts)
 
+    def __post_init__(self) -> None:
+        at_least_one = {
+            "environments": self.environments,
+            "distributions": len(self.distributions),
+            "demos.episodes": self.demos.episodes,
+            "demos.corrected": self.demos.corrected,
+            "skill.test_every": self.skill.test_every,
+            "skill.test_lots": self.skill.test_lots,
+            "amounts.test_every": self.amounts.test_every,
+            "amounts.test_lots": self.amounts.test_lots,
+            "amounts.planned_rounds": self.amounts.planned_rounds,
+            "amounts.rounds - amounts.planned_rounds": (
+                self.amounts.rounds - self.amounts.planned_rounds
+            ),
+        }
+        for name, value in at_least_one.items():
+            if value < 1:
+                raise ValueError(f"{name} has to be at least 1, not {value}")
+
 
 def read_settings(path: Path | None) -> RunSettings:
     """The settings of a TOML or JSON file, defaults for what it leaves out or without a file.

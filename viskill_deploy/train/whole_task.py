@@ -11,7 +11,7 @@ import numpy.typing as npt
 from viskill_deploy.core.types import FloatArray, Scene
 from viskill_deploy.sim.tasks.base import SkillSpec, Task
 from viskill_deploy.train.demos import SkillDemos
-from viskill_deploy.train.replay import Episodes
+from viskill_deploy.train.replay import Episodes, Float32Array
 
 WHOLE = "whole"
 
@@ -55,16 +55,18 @@ class WholeTask:
 def whole_demos(task: Task, demos: Sequence[SkillDemos]) -> SkillDemos:
     """The demonstrations of all skills, put end to end."""
     return SkillDemos(
-        _whole(task, [part.clean for part in demos]),
-        _whole(task, [part.corrected for part in demos]),
+        _whole(task, [part.clean for part in demos], demos[0].clean_aims),
+        _whole(task, [part.corrected for part in demos], demos[0].corrected_aims),
         demos[0].starts,
+        demos[0].clean_aims,
+        demos[0].corrected_aims,
     )
 
 
-def _whole(task: Task, parts: Sequence[Episodes]) -> Episodes:
+def _whole(task: Task, parts: Sequence[Episodes], aims: Float32Array) -> Episodes:
     obs = np.concatenate([p.obs[:, :-1] for p in parts] + [parts[-1].obs[:, -1:]], axis=1)
     ends = [p.achieved[:, :-1] for p in parts] + [parts[-1].achieved[:, -1:]]
     flags = np.concatenate(ends, axis=1)[..., 6:]
     achieved = task.achieved(task.skills[-1].name, obs, flags)
     action = np.concatenate([p.action for p in parts], axis=1)
-    return Episodes(obs, achieved.astype(np.float32), parts[-1].goal, action)
+    return Episodes(obs, achieved.astype(np.float32), aims, action)

@@ -24,7 +24,14 @@ def transitions(seed: int = 0) -> Transitions:
         return rng.integers(0, 2, COUNT).astype(np.float32)
 
     return Transitions(
-        draw(COUNT, 35), draw(COUNT, 3), draw(COUNT, 6), draw(COUNT, 35), coin(), coin(), coin()
+        draw(COUNT, 35),
+        draw(COUNT, 3),
+        draw(COUNT, 6),
+        draw(COUNT, 35),
+        draw(COUNT, 6),
+        coin(),
+        coin(),
+        coin(),
     )
 
 
@@ -54,10 +61,9 @@ def test_an_earlier_skill_learns_the_next_ones_value_of_its_own_choice() -> None
     target = agent.value_target(0, batch).numpy()
     agent.noise.bit_generator.state = state
     chosen = agent.choose(1, batch.next_obs, batch.task_goal, agent.noise)
-    least = np.minimum(
-        *probabilities(agent, agent.targets[1], batch.next_obs, batch.task_goal, chosen)
-    )
-    assert target == pytest.approx(np.where(batch.ended > 0, batch.outcome, least), abs=1e-5)
+    both = probabilities(agent, agent.targets[1], batch.next_obs, batch.task_goal, chosen)
+    later = np.mean(both, axis=0)
+    assert target == pytest.approx(np.where(batch.ended > 0, batch.outcome, later), abs=1e-5)
     assert (target[batch.ended == 0] != batch.outcome[batch.ended == 0]).all()
 
 
@@ -127,6 +133,39 @@ def test_without_policy_gradient_only_imitation_is_left() -> None:
     assert "imitation" in line
 
 
+def test_positions_that_the_task_overrules_are_valued_as_they_were_given() -> None:
+    """MatchBoardPanel's release has no say in where the letter goes."""
+    task, rng = load_task("matchboardpanel"), np.random.default_rng(0)
+    agent = Chaining(task, ChainSettings(hidden=16), seed=2)
+    assert agent.space.free[2].tolist() == [1, 1, 1, 0, 0, 0]
+    n = sum(width for _, width in task.observation_layout)
+
+    def draw(*shape: int) -> np.ndarray:
+        return rng.uniform(-0.05, 0.05, shape).astype(np.float32)
+
+    zeros = np.zeros(COUNT, np.float32)
+    batch = Transitions(
+        draw(COUNT, n), draw(COUNT, 3), draw(COUNT, 6), draw(COUNT, n), draw(COUNT, 6), zeros,
+        zeros, zeros,
+    )  # fmt: skip
+    state = agent.noise.bit_generator.state
+    target = agent.value_target(1, batch).numpy()
+    agent.noise.bit_generator.state = state
+    chosen = agent.choose(2, batch.next_obs, batch.task_goal, agent.noise)
+    given = np.concatenate([chosen[:, :3], batch.next_positions[:, 3:]], axis=1)
+    both = probabilities(agent, agent.targets[2], batch.next_obs, batch.task_goal, given)
+    assert target == pytest.approx(np.mean(both, axis=0), abs=1e-5)
+
+
+def test_values_do_not_learn_from_reached_subgoals_alone() -> None:
+    one, two = chaining(), chaining()
+    one.update(0, transitions(), transitions(1))
+    two.update(0, transitions(), transitions(2))
+    for a, b in zip(one.values[0], two.values[0], strict=True):
+        for x, y in zip(a.parameters(), b.parameters(), strict=True):
+            assert torch.equal(x, y)
+
+
 def test_values_learn_and_choices_follow_them() -> None:
     """Success wherever the first entry is positive: the policy has to find that out."""
     agent, rng = chaining(rate=3e-3, imitation=0.0), np.random.default_rng(0)
@@ -137,7 +176,14 @@ def test_values_learn_and_choices_follow_them() -> None:
         agent.update(
             1,
             Transitions(
-                batch.obs, batch.task_goal, positions, batch.next_obs, outcome, outcome, outcome
+                batch.obs,
+                batch.task_goal,
+                positions,
+                batch.next_obs,
+                positions,
+                outcome,
+                outcome,
+                outcome,
             ),
             None,
         )

@@ -14,5 +14,6 @@ NEEDS_SKILLS = False
 def learn(run: Run) -> TaskPolicy:
     """One policy for the whole task, with about the steps that ViSkill's skills and chain take."""
     skill = run.settings.skill
-    rounds = skill.rounds + run.settings.amounts.rounds
-    return learn_flat(run, "dex", dataclasses.replace(skill, rounds=rounds))
+    rounds = skill.corrections + skill.rounds + run.settings.amounts.rounds
+    patient = dataclasses.replace(skill, rounds=rounds, patience=rounds)
+    return learn_flat(run, "dex", patient)

@@ -13,8 +13,8 @@ from viskill_deploy.train.run import Run
 
 NEEDS_SKILLS = False
 
-STEPS = 6000
-"""Gradient steps: twice what each skill of the other methods imitates for."""
+STEPS = 12000
+"""Gradient steps: about what each skill of the other methods imitates for."""
 
 
 def learn(run: Run) -> TaskPolicy:

@@ -53,7 +53,7 @@ class TerminalState:
         """Tells demonstrated starts from the states in which these episodes end."""
         for _ in range(MEETINGS if len(episodes) else 0):
             rows = rng.integers(len(episodes), size=HALF_BATCH)
-            self._likeness.update(episodes.obs[rows, -1], rng)
+            self._likeness.update(episodes.obs[rows, -2], rng)  # the last one that is rewarded
 
     def shaped(self, batch: Batch) -> Batch:
         """Less reward where the last state looks like no start of the next skill."""
@@ -79,14 +79,15 @@ class Scripted:
     """
 
     def __init__(self, skills: list[Act], seed: int) -> None:
-        self._skills, self._rng = skills, np.random.default_rng((seed, 5))
+        self._skills, self._seed = skills, seed
         self._plans: FloatArray | None = None
 
     def subgoals(self, index: int, obs: FloatArray, loop: VectorLoop) -> FloatArray:
         """The plan's subgoals; the last skill's from the task's own goal."""
         if index == 0 or self._plans is None:
-            scenes = loop.scenes()
-            plans = [plan_of(loop.task, obs[i], scenes[i], self._rng) for i in range(loop.count)]
+            scenes, layouts = loop.scenes(), int(1e6 * np.abs(obs).sum())
+            rng = np.random.default_rng((self._seed, 5, layouts))  # the same for the same episodes
+            plans = [plan_of(loop.task, obs[i], scenes[i], rng) for i in range(loop.count)]
             self._plans = np.array(plans)
         if index == len(loop.task.skills) - 1:
             return final_goals(loop, obs)
