@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -208,7 +208,6 @@ class ChainLearner:
     seed: int
     round: int = 0
     best: float = -1.0
-    history: list[dict[str, float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._rng = np.random.default_rng((self.seed, 100))
@@ -242,7 +241,6 @@ class ChainLearner:
         self.round += 1
         if not planned and (self.round % amounts.test_every == 0 or self.finished):
             line["success"] = self._test()
-        self.history.append(line)
         return line
 
     def _update(self, index: int) -> dict[str, float]:
@@ -294,7 +292,6 @@ class ChainLearner:
         return {
             "round": self.round,
             "best": self.best,
-            "history": self.history,
             "rng": self._rng.bit_generator.state,
             "chaining": self.chaining.state(),
             "memory": self.memory.state(),
@@ -303,7 +300,7 @@ class ChainLearner:
 
     def restore(self, tree: dict[str, Any]) -> None:
         """Takes over what `state` gave."""
-        self.round, self.best, self.history = tree["round"], tree["best"], tree["history"]
+        self.round, self.best = tree["round"], tree["best"]
         self._rng.bit_generator.state = tree["rng"]
         self.chaining.restore(tree["chaining"])
         self.memory.restore(tree["memory"])

@@ -147,7 +147,6 @@ class TaskEpisodes:
         obs: at the start of every skill and at the end, (E, skills + 1, n).
         task_goal: where the object has to go, (E, 3).
         subgoal: (E, skills, m).
-        achieved: what stood where the subgoal would, at the end of each skill, (E, skills, m).
         reached: skill ended at its subgoal, (E, skills).
         begun: the skill was begun (an episode that cannot be followed ends early), (E, skills).
         waiting: steps in which the running skill was not yet at its subgoal, (E,).
@@ -157,7 +156,6 @@ class TaskEpisodes:
     obs: Float32Array
     task_goal: Float32Array
     subgoal: Float32Array
-    achieved: Float32Array
     reached: npt.NDArray[np.bool_]
     begun: npt.NDArray[np.bool_]
     waiting: npt.NDArray[np.int64]
@@ -167,23 +165,18 @@ class TaskEpisodes:
         return len(self.success)
 
 
-def run_task(
-    loop: VectorLoop, policy: TaskPolicy, keep: Callable[[int, VectorLoop], None] | None = None
-) -> TaskEpisodes:
+def run_task(loop: VectorLoop, policy: TaskPolicy) -> TaskEpisodes:
     """A whole task in every environment, from their present starts.
 
     Args:
         loop: at the start of episodes.
         policy: who does it.
-        keep: told (index, loop) at the start of every skill.
     """
     task = loop.task
     obs = loop.observe()
-    borders, goals, ends, reached_, begun = [obs], [], [], [], []
+    borders, goals, reached_, begun = [obs], [], [], []
     waiting = np.zeros(loop.count, dtype=np.int64)
     for index, skill in enumerate(task.skills):
-        if keep:
-            keep(index, loop)
         begun.append(loop.alive.copy())
         names = [skill.name] * loop.count
         goal = policy.subgoals(index, obs, loop)
@@ -195,13 +188,11 @@ def run_task(
             waiting += ~here
         borders.append(obs)
         goals.append(goal)
-        ends.append(achieved)
         reached_.append(here & loop.alive)
     return TaskEpisodes(
         _stacked(borders),
         loop.goals().astype(np.float32),
         _stacked(goals),
-        _stacked(ends),
         np.stack(reached_, axis=1),
         np.stack(begun, axis=1),
         waiting,

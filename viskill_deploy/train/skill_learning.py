@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -141,7 +141,6 @@ class SkillLearner:
     best: float = -1.0
     passed: int = 0
     failed: int = 0
-    history: list[dict[str, float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         task: Task = self.loop.task
@@ -197,7 +196,6 @@ class SkillLearner:
         if dex_rounds >= 0 and (dex_rounds % s.test_every == 0 or dex_rounds == s.rounds):
             line["success"] = self._test()
         self.round += 1
-        self.history.append(line)
         return line
 
     def go_on(self, agent: dict[str, Any], weights: dict[str, Any]) -> None:
@@ -320,7 +318,6 @@ class SkillLearner:
             "best": self.best,
             "passed": self.passed,
             "failed": self.failed,
-            "history": self.history,
             "rng": self._rng.bit_generator.state,
             "agent": self.agent.state(),
             "experience": self.experience.state(),
@@ -333,7 +330,6 @@ class SkillLearner:
         """Takes over what `state` gave."""
         self.round, self.best = tree["round"], tree["best"]
         self.passed, self.failed = tree["passed"], tree["failed"]
-        self.history = tree["history"]
         self._rng.bit_generator.state = tree["rng"]
         self.agent.restore(tree["agent"])
         self.experience.restore(tree["experience"])

@@ -212,7 +212,6 @@ def episodes(count: int, first: int = 0) -> TaskEpisodes:
         np.tile(number[:, None, None], (1, 4, 35)),
         np.tile(number[:, None], (1, 3)),
         np.tile(number[:, None, None], (1, 3, 8)),
-        np.zeros((count, 3, 8), np.float32),
         begun,
         begun,
         np.zeros(count, np.int64),
