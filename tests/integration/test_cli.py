@@ -241,7 +241,7 @@ def test_inspect_and_doctor_speak_json(tmp_path: Path) -> None:
 
 
 def test_inspect_shows_who_gives_subgoals_and_what_every_graph_takes(
-    affinely_chained: Path, tmp_path: Path
+    affinely_chained: Path, unchained: Path, tmp_path: Path
 ) -> None:
     run = viskill("inspect", affinely_chained, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
@@ -249,7 +249,7 @@ def test_inspect_shows_who_gives_subgoals_and_what_every_graph_takes(
         assert text in run.stdout
     assert "obs 35, task_goal 3, subgoal 8" in run.stdout
     assert "subgoal 6" in run.stdout
-    run = viskill("inspect", BUNDLE, cwd=tmp_path)
+    run = viskill("inspect", unchained, cwd=tmp_path)
     assert "from the scripted plan" in run.stdout
     assert "chain-" not in run.stdout
 

@@ -22,7 +22,7 @@ SETTINGS = """
 environments = 1
 demos = { episodes = 1, corrected = 1 }
 dex = { batch = 8, hidden = 16, critic_first = 1 }
-amounts = { rounds = 2 }
+amounts = { planned_rounds = 1, rounds = 2 }
 [skill]
 imitation_steps = 20
 polish_steps = 1
