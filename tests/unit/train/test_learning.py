@@ -10,13 +10,13 @@ import pytest
 from viskill_deploy.bundle.format import load_bundle
 from viskill_deploy.core.errors import TrainingError
 from viskill_deploy.train import methods, store
-from viskill_deploy.train.chain_learning import ChainAmounts
-from viskill_deploy.train.chaining import ChainSettings
+from viskill_deploy.train.chain_learning import ChainAmounts, ChainLearner
+from viskill_deploy.train.chaining import Chaining, ChainSettings
 from viskill_deploy.train.demos import DemoSettings
 from viskill_deploy.train.dex import DexSettings
 from viskill_deploy.train.evaluate import evaluate
 from viskill_deploy.train.export import export, load_trained
-from viskill_deploy.train.run import Run, demos_of, skill_learner, skills_of
+from viskill_deploy.train.run import Run, actor, demos_of, skill_learner, skills_of
 from viskill_deploy.train.settings import RunSettings
 from viskill_deploy.train.skill_learning import SkillSettings
 
@@ -113,6 +113,21 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_does_not(
     other = run_in(tmp_path / "other", seed=1)
     mine, theirs = demos_of(trained)[0].clean.obs, demos_of(other)[0].clean.obs
     assert not np.array_equal(mine, theirs)
+
+
+def test_a_broken_chain_goes_on_to_the_same_bits(trained: Run, tmp_path: Path) -> None:
+    for path in trained.folder.glob("*.npz"):
+        if path.name != "chain-viskill.npz":
+            store.save(tmp_path / path.name, store.load(path))
+    run = run_in(tmp_path)
+    acts = [actor(run, skill["weights"]) for skill in skills_of(run)]
+    chaining = Chaining(run.task, TINY.chain, run.seed)
+    learner = ChainLearner(run.loop, acts, chaining, TINY.distributions, TINY.amounts, run.seed)
+    learner.advance()
+    learner.advance()
+    store.save(tmp_path / "chain-viskill.state.npz", learner.state())
+    methods.learn("viskill", run_in(tmp_path))
+    assert same(trained.folder / "chain-viskill.npz", tmp_path / "chain-viskill.npz")
 
 
 def test_a_folder_with_other_settings_is_refused(trained: Run) -> None:
