@@ -46,9 +46,10 @@ policies, full-length episodes, layouts that neither training nor selection has 
 ```
 
 ## How it was trained
-Skills: imitation of {demos} demonstrations and {corrected} disturbed, corrected ones of the task's
-scripted controller, then DEX with goals in hindsight. Chaining: SAC with self-imitation over frozen
-skills, values without discount. Seed {seed}. `viskill train {task} --method {method} --seed {seed}
+Skills: imitation of at least {demos} demonstrations and {corrected} disturbed ones of the task's
+scripted controller, {corrections} rounds in which the script corrects the learner, then DEX with
+goals in hindsight; the weights of the best test are kept. Chaining: SAC with self-imitation over
+frozen skills, values without discount. Seed {seed}. `viskill train {task} --method {method} --seed {seed}
 --output RUN` and `viskill export RUN` do it again.
 
 ## Limits
@@ -79,6 +80,7 @@ def model_card(
         command=command,
         demos=settings.demos.episodes,
         corrected=settings.demos.corrected,
+        corrections=settings.skill.corrections,
         seed=manifest.seeds[0],
     )
 

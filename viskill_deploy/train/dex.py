@@ -5,7 +5,7 @@ Automation of Surgical Robot", ICRA 2023; subgoal-conditioned as in ViSkill, equ
 critic are deterministic policy gradient; both are told how far the actor is from what would have
 been demonstrated. The paper asks the nearest demonstrated states what that is (`guidance`
 "neighbours"); by default the policy that imitates the demonstrations answers here ("imitation"),
-which comes several times nearer to the script where a millimetre decides.
+which comes nearer to the script where a millimetre decides.
 """
 
 from __future__ import annotations
