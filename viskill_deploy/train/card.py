@@ -49,8 +49,9 @@ policies, full-length episodes, layouts that neither training nor selection has 
 Skills: imitation of at least {demos} demonstrations and {corrected} disturbed ones of the task's
 scripted controller, {corrections} rounds in which the script corrects the learner, then DEX with
 goals in hindsight; the weights of the best test are kept. Chaining: SAC with self-imitation over
-frozen skills, values without discount. Seed {seed}. `viskill train {task} --method {method} --seed {seed}
---output RUN` and `viskill export RUN` do it again.
+frozen skills, values without discount. Seed {seed}.
+`viskill train {task} --method {method} --seed {seed} --output RUN` and `viskill export RUN` do it
+again.
 
 ## Limits
 - Trained and measured in simulation only. Nothing here says how it does on a real robot, where
