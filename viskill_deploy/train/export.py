@@ -112,7 +112,7 @@ def export(
     policy = Chained([actor(run, skill["weights"]) for skill in trained.skills], trained.chaining)
     scores = []
     for distribution in run.task.distributions if episodes else ():
-        scores.append(evaluate(run.loop, policy, distribution, episodes, seed))
+        scores.append(evaluate(run.trial, policy, distribution, episodes, seed))
         say(f"{distribution}: {scores[-1].success_rate:.1%} of {episodes} episodes")
     output.mkdir(parents=True, exist_ok=True)
     for name, graph in graphs.items():

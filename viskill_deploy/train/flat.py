@@ -43,7 +43,10 @@ def learn_flat(run: Run, stage: str, settings: SkillSettings) -> TaskPolicy:
     if not run.done(stage):
         demos = whole_demos(run.task, demos_of(run))
         loop = VectorLoop(
-            cast(Task, WholeTask(run.task)), run.settings.environments, threads=run.threads
+            cast(Task, WholeTask(run.task)),
+            run.settings.environments,
+            bystanders=False,
+            threads=run.threads,
         )
         settings = dataclasses.replace(settings, corrections=0)  # the script knows skills only
         data = SkillData(demos.clean, demos.corrected)

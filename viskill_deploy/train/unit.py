@@ -147,14 +147,14 @@ def measured(
     scores: dict[str, Figures] = {}
     started = wall_time()
     for distribution in run.task.distributions:
-        score = evaluate(run.loop, policy, distribution, measuring.episodes, unit.seed)
+        score = evaluate(run.trial, policy, distribution, measuring.episodes, unit.seed)
         scores[distribution] = figures_of(score)
         run.say(f"{distribution}: success {score.success_rate:.3f} of {score.episodes} episodes")
     seconds["evaluation"] = round(wall_time() - started, 2)
     calibration: Calibration | None = None
     if isinstance(policy, Chained) and measuring.calibration_episodes:
         started = wall_time()
-        calibration = calibrate(run.loop, policy, measuring.calibration_episodes, unit.seed)
+        calibration = calibrate(run.trial, policy, measuring.calibration_episodes, unit.seed)
         run.say(f"calibration error {calibration.all.error}")
         seconds["calibration"] = round(wall_time() - started, 2)
     settings = json.loads(json.dumps(dataclasses.asdict(run.settings)))
