@@ -42,13 +42,13 @@ class ChainAmounts:
     """
 
     planned_rounds: int = 4
-    rounds: int = 24
-    updates: int = 100
-    planned_updates: int = 600
+    rounds: int = 16
+    updates: int = 50
+    planned_updates: int = 200
     test_every: int = 4
     test_lots: int = 1
-    spread_share: float = 0.3
-    spread_m: float = 0.02
+    spread_share: float = 0.5
+    spread_m: float = 0.04
     capacity: int = 4000
 
 

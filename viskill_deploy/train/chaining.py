@@ -44,6 +44,8 @@ class ChainSettings:
         imitation: lambda, the weight of self-imitation beside it.
         temperature: of the advantage in the weights of self-imitation.
         hidden: width of the hidden layers.
+        decay: weight decay of the values: a few hundred episodes are soon known by heart, and a
+            value that knows them by heart is sure of what it has not seen.
     """
 
     rate: float = 3e-4
@@ -53,6 +55,7 @@ class ChainSettings:
     imitation: float = 0.1
     temperature: float = 1.0
     hidden: int = 256
+    decay: float = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +130,7 @@ class Chaining:
         self.noise = np.random.default_rng((seed, 3))
         self._policy_optimisers = [adam(n, settings.rate) for n in networks]
         self._value_optimisers = [
-            tuple(adam(n, settings.rate) for n in pair) for pair in self.values
+            tuple(adam(n, settings.rate, settings.decay) for n in pair) for pair in self.values
         ]
 
     def choose(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 import torch
 from torch.nn import functional
@@ -12,6 +14,14 @@ from viskill_deploy.train.optimiser import adam, descend
 from viskill_deploy.train.replay import Float32Array
 
 RATE = 3e-4
+
+
+class Measure(Protocol):
+    """Says how much a state is like a demonstrated start of a skill."""
+
+    def of(self, obs: Float32Array) -> Float32Array:
+        """Likeness of states (N, n), in [0, 1], (N,)."""
+        ...
 
 
 class Likeness:

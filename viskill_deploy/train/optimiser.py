@@ -11,9 +11,9 @@ import torch
 from torch import nn
 
 
-def adam(network: nn.Module, rate: float) -> torch.optim.Optimizer:
-    """Adam on all parameters of `network`."""
-    return torch.optim.Adam(network.parameters(), lr=rate, fused=True)
+def adam(network: nn.Module, rate: float, decay: float = 0.0) -> torch.optim.Optimizer:
+    """Adam on all parameters of `network`, with a pull of `decay` times themselves towards zero."""
+    return torch.optim.Adam(network.parameters(), lr=rate, weight_decay=decay, fused=True)
 
 
 def descend(optimiser: torch.optim.Optimizer, loss: torch.Tensor) -> None:

@@ -3,7 +3,8 @@
 Y. Lee et al., "Adversarial Skill Chaining for Long-Horizon Robot Manipulation via Terminal State
 Regularization", CoRL 2021, on the DEX skills of the other methods. There is no chaining policy: the
 scripted plan gives the subgoals. Each skill in turn starts where the one before it now ends, and is
-rewarded at its end for looking like a demonstrated start of the next one.
+rewarded at its end for looking like a demonstrated start of the next one. The weights that are kept
+are, as for every skill, those of the best test on the skill's own subgoal, the latest of equals.
 """
 
 from __future__ import annotations

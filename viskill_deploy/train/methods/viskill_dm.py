@@ -11,14 +11,14 @@ import torch
 
 from viskill_deploy.sim.tasks.base import Task
 from viskill_deploy.train.chaining import Chaining, ChainSettings, Transitions
-from viskill_deploy.train.initiation import Nearness
+from viskill_deploy.train.initiation import Measure, Nearness
 from viskill_deploy.train.methods.viskill import learn_chain
 from viskill_deploy.train.rollout import TaskPolicy
 from viskill_deploy.train.run import Run, demos_of
 
 
-class NearChaining(Chaining):
-    """Values are nearness to the demonstrated starts of the next skill.
+class MeasuredChaining(Chaining):
+    """Values say how much the end of a skill is like a demonstrated start of the next one.
 
     Args:
         task: the task.
@@ -28,13 +28,13 @@ class NearChaining(Chaining):
     """
 
     def __init__(
-        self, task: Task, settings: ChainSettings, seed: int, measures: Sequence[Nearness]
+        self, task: Task, settings: ChainSettings, seed: int, measures: Sequence[Measure]
     ) -> None:
         super().__init__(task, settings, seed)
         self._measures = tuple(measures)
 
     def value_target(self, index: int, batch: Transitions) -> torch.Tensor:
-        """Nearness at the next skill's start; the outcome for the last skill, (B,)."""
+        """Likeness at the next skill's start; the outcome for the last skill, (B,)."""
         if index == self.skills - 1:
             return torch.from_numpy(batch.outcome)
         return torch.from_numpy(self._measures[index + 1].of(batch.next_obs))
@@ -43,5 +43,5 @@ class NearChaining(Chaining):
 def learn(run: Run) -> TaskPolicy:
     """Skills, then chaining policies towards demonstrated starts."""
     measures = [Nearness(run.task, demos.clean.obs[:, 0]) for demos in demos_of(run)]
-    chaining = NearChaining(run.task, run.settings.chain, run.seed, measures)
+    chaining = MeasuredChaining(run.task, run.settings.chain, run.seed, measures)
     return learn_chain(run, "chain-viskill_dm", chaining)

@@ -9,19 +9,19 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import torch
 
 from viskill_deploy.sim.tasks.base import Task
-from viskill_deploy.train.chaining import Chaining, ChainSettings, Transitions
+from viskill_deploy.train.chaining import ChainSettings, Transitions
 from viskill_deploy.train.initiation import Likeness
 from viskill_deploy.train.methods.viskill import learn_chain
+from viskill_deploy.train.methods.viskill_dm import MeasuredChaining
 from viskill_deploy.train.optimiser import restore, state_of
 from viskill_deploy.train.rollout import TaskPolicy
 from viskill_deploy.train.run import Run, demos_of
 
 
-class LikeChaining(Chaining):
-    """Values are a learned likeness to the demonstrated starts of the next skill.
+class LearnedMeasures(MeasuredChaining):
+    """The same with measures that learn beside the values.
 
     Args:
         task: the task.
@@ -33,8 +33,8 @@ class LikeChaining(Chaining):
     def __init__(
         self, task: Task, settings: ChainSettings, seed: int, measures: Sequence[Likeness]
     ) -> None:
-        super().__init__(task, settings, seed)
-        self._measures = tuple(measures)
+        super().__init__(task, settings, seed, measures)
+        self._learned = tuple(measures)
         self._rng = np.random.default_rng((seed, 4))
 
     def update(
@@ -42,18 +42,12 @@ class LikeChaining(Chaining):
     ) -> dict[str, float]:
         """One step of the measure, then of values and policy."""
         if index < self.skills - 1:
-            self._measures[index + 1].update(online.next_obs, self._rng)
+            self._learned[index + 1].update(online.next_obs, self._rng)
         return super().update(index, online, reached)
-
-    def value_target(self, index: int, batch: Transitions) -> torch.Tensor:
-        """Likeness at the next skill's start; the outcome for the last skill, (B,)."""
-        if index == self.skills - 1:
-            return torch.from_numpy(batch.outcome)
-        return torch.from_numpy(self._measures[index + 1].of(batch.next_obs))
 
     def state(self) -> dict[str, Any]:
         """Everything that learning goes on from."""
-        measures = [state_of(m.network, m.optimiser) for m in self._measures]
+        measures = [state_of(m.network, m.optimiser) for m in self._learned]
         return {
             **super().state(),
             "measures": measures,
@@ -64,7 +58,7 @@ class LikeChaining(Chaining):
         """Takes over what `state` gave."""
         super().restore(tree)
         self._rng.bit_generator.state = tree["batches"]
-        for part, measure in zip(tree["measures"], self._measures, strict=True):
+        for part, measure in zip(tree["measures"], self._learned, strict=True):
             restore(part, measure.network, measure.optimiser)
 
 
@@ -74,5 +68,5 @@ def learn(run: Run) -> TaskPolicy:
         Likeness(run.task, demos.clean.obs[:, 0], run.seed + index)
         for index, demos in enumerate(demos_of(run))
     ]
-    chaining = LikeChaining(run.task, run.settings.chain, run.seed, measures)
+    chaining = LearnedMeasures(run.task, run.settings.chain, run.seed, measures)
     return learn_chain(run, "chain-viskill_ldm", chaining)
