@@ -6,7 +6,7 @@ BUNDLE ?= policies/bipegtransfer-viskill
 # The CPU suffices for training and tests; name another build of torch here if you have a GPU.
 TORCH  ?= torch==2.13.0
 
-.PHONY: demo test lint unit slow wheel-check bench figures clean
+.PHONY: demo test lint unit slow wheel-check bench figures hazards clean
 
 demo: $(VENV)/.runtime
 	$(BIN)/viskill dry-run $(BUNDLE)
@@ -54,6 +54,10 @@ figures: $(VENV)/.runtime
 	    --no-video --json || exit; done
 	$(BIN)/viskill dry-run $(BUNDLE) --episodes 100 --distribution wide --no-video --json
 	$(BIN)/viskill dry-run $(BUNDLE) --episodes 100 --ik-solver osqp --no-video --json
+
+# docs/hazards.md: hazard, invariant, code and tests, from data and markers.
+hazards: $(VENV)/.dev
+	$(BIN)/python tests/support/traceability.py
 
 clean:
 	rm -rf $(VENV) build dist runs htmlcov .coverage* .mypy_cache .ruff_cache .pytest_cache

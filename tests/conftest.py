@@ -5,11 +5,18 @@ from pathlib import Path
 import chaining
 import numpy as np
 import pytest
+import traceability
 from onnx import TensorProto, helper, numpy_helper
 
 from viskill_deploy.bundle.format import Manifest, write_manifest
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.sim.tasks.base import Task, load_task
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """A test that is named after an invariant carries its marker."""
+    for invariant in traceability.ids_of_name(item.name):
+        item.add_marker(pytest.mark.invariant(invariant))
 
 
 def linear_graph(

@@ -137,6 +137,9 @@ FAULTS = {
 }
 
 
+@pytest.mark.invariant(
+    "S01", "S02", "S04", "S08", "S16", "S18", "S20", "S21", "S23", "S24", "S32", "S34"
+)
 @pytest.mark.parametrize("phase", PHASES, ids=lambda phase: phase.__name__)
 @pytest.mark.parametrize("name", FAULTS)
 def test_each_fault_has_its_declared_reaction(name, phase):

@@ -151,6 +151,7 @@ def test_a_driver_that_refuses_a_setpoint_is_stopped_in_the_next_cycle() -> None
     assert_stopped_smoothly(driver)
 
 
+@pytest.mark.invariant("S32")
 def test_a_dead_recorder_stops_the_run() -> None:
     session, driver, notebook = running()
     for _ in range(FAULT_AT):
@@ -185,6 +186,7 @@ def test_the_power_goes_also_when_the_driver_refuses_everything_else() -> None:
     assert driver.cell.state(0.0).arms[0].operating_state == DISABLED
 
 
+@pytest.mark.invariant("S31", "S23")
 def test_nobody_arms_again_after_an_emergency_stop_in_this_process() -> None:
     session, driver, _ = running()
     driver.say(estop=True)

@@ -90,6 +90,7 @@ def inside(rig: Rig, trail: list[tuple[JointSetpoint, ...]]) -> None:
         assert (q[:, :6] <= np.array(arm.upper[:6]) + 1e-9).all()
 
 
+@pytest.mark.invariant("S31", "S34")
 @QUICK
 @given(CYCLES, st.booleans())
 def test_what_goes_out_is_the_request_bit_for_bit_or_a_stop_inside_the_limits(cycles, estop):
@@ -132,6 +133,7 @@ def step(rig: Rig, request: Request, dt: float, trail: list, actions: list) -> N
     actions.append(decision.action)
 
 
+@pytest.mark.invariant("S34")
 @QUICK
 @given(st.floats(0.001, 0.049), st.integers(2, 60), st.sampled_from([0, 1, 2, 3, 4, 5]))
 def test_hold_never_speeds_up_a_steady_motion(part, cycles, joint):
@@ -193,6 +195,7 @@ LADDER = st.sampled_from(
 )
 
 
+@pytest.mark.invariant("S31")
 @settings(max_examples=120, deadline=None)
 @given(st.lists(LADDER, max_size=30))
 def test_fault_and_estop_never_clear_by_themselves(moves):
@@ -245,6 +248,7 @@ def do(rig: Rig, move: str) -> None:
             rig.ask(rig.stay())
 
 
+@pytest.mark.invariant("S31")
 @pytest.mark.parametrize("rule_id", sorted(RULES))
 def test_no_file_flag_or_attribute_takes_a_rule_out(rule_id):
     """Two supervisors of one process share every rule, and none has a switch."""

@@ -33,6 +33,7 @@ class Silence:
         pass
 
 
+@pytest.mark.invariant("S33")
 @pytest.mark.parametrize(
     ("mode", "distribution"),
     [("closed-loop", "reference"), ("closed-loop", "wide"), ("plan", "wide")],

@@ -80,6 +80,7 @@ def test_every_shipped_instrument_is_accepted(tool):
     assert CellEnvelope.of(cell, 0.001).arms[0].tool == tool
 
 
+@pytest.mark.invariant("S31")
 @pytest.mark.parametrize(("index", "key"), JOINT_NUMBERS)
 @pytest.mark.parametrize("factor", [1.05, 1000.0, -1.0, 0.0, *NONSENSE])
 def test_no_joint_limit_gets_looser(index, key, factor):
@@ -102,6 +103,7 @@ def test_no_jaw_limit_gets_looser(key, factor):
     assert refused(with_table("jaw", key, value)).startswith("jaw")
 
 
+@pytest.mark.invariant("S31")
 @pytest.mark.parametrize("key", GATE_NUMBERS)
 @pytest.mark.parametrize("factor", ["looser", "metres", -1.0, *NONSENSE])
 def test_no_threshold_of_the_gate_gets_looser(key, factor):
@@ -114,6 +116,7 @@ def test_no_threshold_of_the_gate_gets_looser(key, factor):
     assert refused(with_table("gate", key, value)) == f"gate.{key}"
 
 
+@pytest.mark.invariant("S31")
 @pytest.mark.parametrize("key", MOTION_NUMBERS)
 @pytest.mark.parametrize("value", [50.0, -0.05, *NONSENSE])
 def test_no_speed_or_floor_of_the_cell_gets_looser(key, value):

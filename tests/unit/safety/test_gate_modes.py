@@ -76,6 +76,7 @@ def test_the_worst_action_wins_in_any_order(first, second):
     assert one.mode is LATCHED_MODE.get(worst, Mode.ARMED)
 
 
+@pytest.mark.invariant("S31")
 @pytest.mark.parametrize("action", Action)
 def test_resume_clears_a_hold_and_nothing_else(action):
     modes = armed()
@@ -85,6 +86,7 @@ def test_resume_clears_a_hold_and_nothing_else(action):
     assert modes.mode is (Mode.RUNNING if action is Action.HOLD else before)
 
 
+@pytest.mark.invariant("S31")
 @pytest.mark.parametrize("action", Action)
 def test_reset_clears_all_but_an_emergency_stop(action):
     modes = armed()

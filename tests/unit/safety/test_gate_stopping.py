@@ -50,6 +50,7 @@ def motions(factor: float):
     )
 
 
+@pytest.mark.invariant("S34")
 @given(motions(1.2))
 def test_any_motion_comes_to_rest_inside_the_limits(case):
     (a_max, j_max, v_max), v_part, a_part = case
@@ -153,6 +154,7 @@ def tip_jacobian(chain, q) -> np.ndarray:
     return np.array(columns).T
 
 
+@pytest.mark.invariant("S34")
 @pytest.mark.parametrize(
     ("pitch", "accelerating", "longest_s", "farthest_m"),
     [
