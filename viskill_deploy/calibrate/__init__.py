@@ -1,0 +1,1 @@
+"""Calibration: what a real cell is, measured against what its files say."""

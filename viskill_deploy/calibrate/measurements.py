@@ -1,0 +1,154 @@
+"""Measured points and the joints behind them: one row a point, kept as CSV that people can write."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from viskill_deploy.core.errors import CalibrationError
+from viskill_deploy.core.types import FloatArray, frozen_array
+
+_JOINTS = ("q1_rad", "q2_rad", "q3_m", "q4_rad", "q5_rad", "q6_rad")
+_SPEEDS = ("v1_rad_s", "v2_rad_s", "v3_m_s", "v4_rad_s", "v5_rad_s", "v6_rad_s")
+_TURNS = ("turn4", "turn5", "turn6")
+_POINT = ("x_m", "y_m", "z_m")
+
+COLUMNS = ("stamp_s", *_JOINTS, *_SPEEDS, *_TURNS, *_POINT)
+"""Of the file. Speeds and turns may be left out: the delay, or the backlash, stays unknown then."""
+
+FARTHEST_M = 2.0
+"""A measured point further from the task frame's origin is in another unit."""
+
+SHALLOWEST = 1.0
+"""Insertions above this, m, are in another unit."""
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Points of one arm's tip as something else than its joints saw them.
+
+    Attributes:
+        stamps: when, (n,) s, for people and for looking rows up.
+        joints: what the arm reported, (n, 6), rad and m.
+        speeds: likewise, (n, 6), rad/s and m/s; zeros at rest.
+        turns: which way roll, wrist pitch and wrist yaw moved last, -1, 0 (not known) or 1, (n, 3).
+        points: where the point was, task frame, (n, 3) m.
+        point_m: stated distance of the point from the jaw pivot along the tip's z, m.
+
+    Raises:
+        CalibrationError: a number is not finite; names the row.
+    """
+
+    stamps: FloatArray
+    joints: FloatArray
+    speeds: FloatArray
+    turns: FloatArray
+    points: FloatArray
+    point_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        n = len(self.stamps)
+        for name in ("stamps", "joints", "speeds", "turns", "points"):
+            values = np.asarray(getattr(self, name), dtype=np.float64).reshape(n, -1)
+            bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+            if bad.size:
+                raise CalibrationError(
+                    f"row {bad[0] + 1} of {name} holds a number that is not finite "
+                    f"({bad.size} such rows); take them out"
+                )
+        for name, width in (("joints", 6), ("speeds", 6), ("turns", 3), ("points", 3)):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n, width), name))
+        object.__setattr__(self, "stamps", frozen_array(self.stamps, (n,), "stamps"))
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def chosen(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> Measurements:
+        """Some of the rows."""
+        return Measurements(
+            self.stamps[rows],
+            self.joints[rows],
+            self.speeds[rows],
+            self.turns[rows],
+            self.points[rows],
+            self.point_m,
+        )
+
+    def check(self) -> None:
+        """Looks for what no fit can make good.
+
+        Raises:
+            CalibrationError: a number is in another unit; names the row.
+        """
+        far = np.flatnonzero(np.abs(self.points).max(axis=1, initial=0.0) > FARTHEST_M)
+        if far.size:
+            raise CalibrationError(
+                f"row {far[0] + 1} lies {np.abs(self.points[far[0]]).max():.4g} m away "
+                f"({far.size} such rows); points are in m in the task frame, these look like mm"
+            )
+        if np.abs(self.joints[:, 2]).max(initial=0.0) > SHALLOWEST:
+            raise CalibrationError("insertions above 1 m; joint 3 is in m, this looks like mm")
+        if np.abs(self.joints[:, [0, 1, 4, 5]]).max(initial=0.0) > np.pi:
+            raise CalibrationError(
+                "joint angles above pi; joints are in rad, these look like degrees"
+            )
+
+
+def load(path: Path, point_m: float = 0.0) -> Measurements:
+    """Reads a CSV file with the columns of `COLUMNS`, in any order, others ignored.
+
+    Raises:
+        CalibrationError: no such file, a missing column, or an entry that is no number; names it.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(line for line in file if not line.startswith("#"))
+            rows, header = list(reader), reader.fieldnames or []
+    except (OSError, UnicodeDecodeError) as error:
+        raise CalibrationError(f"{path}: cannot be read ({error}); give a CSV file") from error
+    missing = [name for name in ("stamp_s", *_JOINTS, *_POINT) if name not in header]
+    if missing:
+        raise CalibrationError(f"{path}: column {missing[0]!r} is missing; it needs {missing}")
+
+    def columns(names: tuple[str, ...]) -> FloatArray:
+        if any(name not in header for name in names):
+            return np.zeros((len(rows), len(names)))
+        values = [
+            [_number(path, i, name, row[name]) for name in names] for i, row in enumerate(rows)
+        ]
+        return np.array(values, dtype=np.float64).reshape(len(rows), len(names))
+
+    stamps = columns(("stamp_s",))[:, 0]
+    joints, speeds = columns(_JOINTS), columns(_SPEEDS)
+    return Measurements(stamps, joints, speeds, columns(_TURNS), columns(_POINT), point_m)
+
+
+def header() -> str:
+    """First line of a file."""
+    return ",".join(COLUMNS) + "\n"
+
+
+def line(measurements: Measurements, row: int) -> str:
+    """One row of a file, to the last bit."""
+    m = measurements
+    values = (m.stamps[row], *m.joints[row], *m.speeds[row], *m.turns[row], *m.points[row])
+    return ",".join(repr(float(value)) for value in values) + "\n"
+
+
+def save(measurements: Measurements, path: Path) -> None:
+    """Writes a CSV file that `load` reads back bit for bit."""
+    text = header() + "".join(line(measurements, row) for row in range(len(measurements)))
+    path.write_text(text, encoding="utf-8")
+
+
+def _number(path: Path, row: int, name: str, text: str | None) -> float:
+    try:
+        return float(text or "")
+    except ValueError as error:
+        raise CalibrationError(
+            f"{path}: row {row + 1}, column {name!r}: {text!r} is no number; correct it"
+        ) from error
