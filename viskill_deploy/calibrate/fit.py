@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares  # type: ignore[import-untyped]
 
 from viskill_deploy.calibrate.error_model import ErrorModel
 from viskill_deploy.calibrate.measurements import Measurements
@@ -39,7 +39,7 @@ NOISE_M = 0.0005
 """Noise that blindness is judged at: a good tracker, or a careful touch."""
 
 FARTHEST_TURN_RAD = 0.35
-"""A base turned by more than 20 degrees is no calibration error: the points are in another frame."""
+"""A base turned by more than 20 degrees is no calibration error: it is another frame."""
 
 FARTHEST_M = 0.06
 """Likewise, a base that is moved by more."""
@@ -149,7 +149,7 @@ def _registered(model: ErrorModel, arm: CellArm, measured: Measurements) -> Floa
     if found.rms_m > WORST_RMS_M:
         raise CalibrationError(
             f"no rigid move brings the points of {arm.name} together (rms "
-            f"{found.rms_m * 1e3:.1f} mm); check that the points are this arm's and the right way up"
+            f"{found.rms_m * 1e3:.1f} mm); check that the points are this arm's, in order"
         )
     if turn > FARTHEST_TURN_RAD or shift > FARTHEST_M:
         raise CalibrationError(
@@ -167,8 +167,8 @@ def _seen(
     _, J = model.linearised(vector, measured)
     scaled = J.reshape(-1, len(NAMES)) * (USUAL / NOISE_M)
     ranks = np.array([parameter.rank for parameter in PARAMETERS])
-    free = np.abs(scaled).max(axis=0) > 0.0
-    values = np.linalg.svd(scaled, compute_uv=False)
+    free: npt.NDArray[np.bool_] = np.abs(scaled).max(axis=0) > 0.0
+    values = np.asarray(np.linalg.svd(scaled, compute_uv=False), dtype=np.float64)
     most = int(3 * len(measured) / ROWS_PER_PARAMETER)
     while free.any():
         _, s, Vt = np.linalg.svd(scaled[:, free], full_matrices=True)

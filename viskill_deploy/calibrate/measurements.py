@@ -1,4 +1,4 @@
-"""Measured points and the joints behind them: one row a point, kept as CSV that people can write."""
+"""Measured points and the joints behind them: one row a point, in CSV that people can write."""
 
 from __future__ import annotations
 
