@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -98,10 +99,6 @@ def reported(rule: str) -> Callable[[Rig], object]:
     return strike
 
 
-def jaw_opens(rig: Rig) -> object:
-    return rig.ask(rig.moved(0, 6, 0.001), holding=(True, False), may_open_jaw=(False, True))
-
-
 def clock_back(rig: Rig) -> object:
     return rig.ask(rig.going_on(), dt=-3600.0)
 
@@ -173,8 +170,10 @@ def check_motion(sent: list[tuple[JointSetpoint, ...]], rig: Rig) -> None:
         q = np.array([(*row[index].jp, row[index].jaw) for row in sent])
         v = np.diff(q, axis=0) / PERIOD
         a = np.diff(v, axis=0) / PERIOD
+        j = np.diff(a, axis=0) / PERIOD
         assert (abs(v) <= np.array(arm.max_speed) * (1 + 1e-9)).all()
         assert (abs(a) <= np.array(arm.max_acceleration) * (1 + 1e-6)).all()
+        assert (abs(j) <= np.array(arm.max_jerk) * (1 + 1e-6)).all()
         assert (v[-5:] == 0.0).all()
 
 
@@ -183,9 +182,8 @@ def test_a_frozen_encoder_holds_and_then_faults(phase):
     rig = Rig.running()
     phase(rig)
     rig.broken[0] = {"measured_jp": rig.state().arms[0].measured_jp}
-    start, speed, actions = rig.now, 0.04 if phase is inserting else 0.0, {}
-    for _ in range(60):
-        speed = min(speed + 0.4 * PERIOD, 0.04)
+    start, actions = rig.now, {}
+    for speed in islice(rig.speeds(2, 0.04, start=0.04 if phase is inserting else 0.0), 60):
         decision = rig.ask(rig.moved(0, 2, -speed * PERIOD))
         actions.setdefault(decision.action, rig.now - start)
     assert 0.05 < actions[Action.HOLD] < 0.11
@@ -213,7 +211,9 @@ def test_a_slow_policy_passes_and_a_hung_one_holds(late_s, action):
 
 def test_a_jaw_that_holds_something_does_not_open_unasked():
     rig = Rig.running()
-    decisions = [jaw_opens(rig) for _ in range(40)]
+    said = {"holding": (True, False), "may_open_jaw": (False, True)}
+    opening = islice(rig.speeds(6, 0.25), 40)
+    decisions = [rig.ask(rig.moved(0, 6, speed * PERIOD), **said) for speed in opening]
     first = next(i for i, d in enumerate(decisions) if d.action is Action.HOLD)
     assert {verdict.rule for verdict in decisions[first].verdicts} == {"S30"}
     assert rig.held[0].jaw <= 0.3 + 0.02 + 0.005
@@ -222,23 +222,21 @@ def test_a_jaw_that_holds_something_does_not_open_unasked():
 def test_a_driver_one_period_behind_is_no_second_commander():
     rig = Rig.running()
     before, decision = rig.held, None
-    for k in range(60):
+    for speed in islice(rig.speeds(2, 0.04), 60):
         rig.broken = {
             i: {"setpoint_jp": old.jp, "jaw_setpoint_jp": old.jaw} for i, old in enumerate(before)
         }
         before = rig.held
-        decision = rig.ask(rig.moved(0, 2, -0.04 * PERIOD * min(1.0, k / 40)))
+        decision = rig.ask(rig.moved(0, 2, -speed * PERIOD))
         assert decision.passed, decision.verdicts
     assert rig.gate.mode is Mode.RUNNING
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_jitter_of_three_milliseconds_trips_nothing(seed):
-    rig, rng, speed = Rig.running(), np.random.default_rng(seed), 0.0
-    lateness = 0.0
-    for _ in range(90):
+    rig, rng, lateness = Rig.running(), np.random.default_rng(seed), 0.0
+    for speed in islice(rig.speeds(2, 0.045), 90):
         late = rng.uniform(0.0, 0.003)
-        speed = min(speed + 0.4 * PERIOD, 0.045)
         direction = math.copysign(1.0, rig.held[0].jp[2] - 0.08)
         if direction < 0:
             break

@@ -1,6 +1,7 @@
 """Laws of the gate: whatever it is given, what goes out is the request or a stop inside limits."""
 
 import math
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -81,11 +82,13 @@ def inside(rig: Rig, trail: list[tuple[JointSetpoint, ...]]) -> None:
         q = np.array([(*row[index].jp, row[index].jaw) for row in trail])
         speed = abs(np.diff(q, axis=0)) / PERIOD
         bend = abs(np.diff(q, n=2, axis=0)) / PERIOD**2
+        turn = abs(np.diff(q, n=3, axis=0)) / PERIOD**3
         v, a, j = (np.array(x) for x in (arm.max_speed, arm.max_acceleration, arm.max_jerk))
         # Until acceleration is back at zero speed may still rise: a^2 / 2J, and a T for sampling.
         rise = (1.2 * a) ** 2 / (2.0 * j) + 1.2 * a * PERIOD
         assert (speed <= 1.2 * v + rise + 1e-9).all()
         assert (bend <= 1.2 * a * (1.0 + 1e-6)).all()
+        assert (turn <= 1.2 * j * (1.0 + 1e-6)).all()
         assert (q[:, :6] >= np.array(arm.lower[:6]) - 1e-9).all()
         assert (q[:, :6] <= np.array(arm.upper[:6]) + 1e-9).all()
 
@@ -128,22 +131,44 @@ def step(rig: Rig, request: Request, dt: float, trail: list, actions: list) -> N
         assert decision.action >= Action.HOLD
     assert decision.action >= max((v.action for v in decision.verdicts), default=Action.PASS)
     assert 0.0 < decision.speed_scale <= 1.0
-    rig.before, rig.held = rig.held, sent
+    rig.older, rig.before, rig.held = rig.before, rig.held, sent
     trail.append(sent)
     actions.append(decision.action)
 
 
 @pytest.mark.invariant("S34")
 @QUICK
-@given(st.floats(0.001, 0.049), st.integers(2, 60), st.sampled_from([0, 1, 2, 3, 4, 5]))
-def test_hold_never_speeds_up_a_steady_motion(part, cycles, joint):
+@given(st.floats(0.05, 0.9), st.integers(1, 60), st.sampled_from(range(7)), st.booleans())
+def test_the_gates_own_stop_keeps_the_limit_of_jerk_from_any_moment_of_a_motion(
+    part, cycles, joint, down
+):
+    """Also in the very first period of it, whatever speed and acceleration it starts from."""
+    rig = Rig.running()
+    trail = [rig.before, rig.before, rig.before, rig.held]
+    top = (-part if down else part) * rig.gate.envelope.arms[0].max_speed[joint]
+    for speed in islice(rig.speeds(joint, top, share=0.49), cycles):
+        decision = rig.ask(rig.moved(0, joint, speed * PERIOD), holding=(False, False))
+        trail.append(rig.held)
+        if not decision.passed:
+            break
+    rig.ask(None)
+    trail.append(rig.held)
+    trail += [tuple(c.setpoint for c in d.setpoints) for d in rig.rest()]
+    q = np.array([(*row[0].jp, row[0].jaw) for row in trail])
+    turn = abs(np.diff(q, n=3, axis=0)) / PERIOD**3
+    assert (turn <= np.array(rig.gate.envelope.arms[0].max_jerk) * (1.0 + 1e-6)).all()
+    assert rig.gate.mode is Mode.HOLDING
+
+
+@QUICK
+@given(st.floats(0.001, 0.049), st.sampled_from([0, 1, 2, 3, 4, 5]))
+def test_hold_never_speeds_up_a_steady_motion(part, joint):
     rig = Rig.running()
     top = part * rig.gate.envelope.arms[0].max_speed[joint]
-    acceleration = 0.5 * rig.gate.envelope.arms[0].max_acceleration[joint]
-    speed = 0.0
-    for _ in range(cycles):
-        speed = min(speed + acceleration * PERIOD, top)
+    for speed in rig.speeds(joint, top):
         assert rig.ask(rig.moved(0, joint, speed * PERIOD)).passed
+        if speed == top:
+            break
     for _ in range(3):
         assert rig.ask(rig.moved(0, joint, speed * PERIOD)).passed
     places = [rig.held[0].jp[joint]]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 from viskill_deploy.core.description import CellArm, CellDescription, load_cell
@@ -49,7 +51,7 @@ class Rig:
         self.now, self.ticks = 1.0, 0
         self.consent, self.estop = False, False
         self.held = tuple(JointSetpoint(home(a), (0.0,) * 6, 0.3, 0.0) for a in self.cell.arms)
-        self.before = self.held
+        self.before = self.older = self.held
         self.broken: dict[int, dict[str, Any]] = {}
 
     def state(self) -> CellState:
@@ -90,7 +92,7 @@ class Rig:
         self.now += self.period if dt is None else dt
         self.ticks += 1
         decision = self.gate.check(self.state(), Request(setpoints, **request), self.now)
-        self.before = self.held
+        self.older, self.before = self.before, self.held
         if decision.setpoints:
             self.held = tuple(checked.setpoint for checked in decision.setpoints)
         return decision
@@ -100,16 +102,21 @@ class Rig:
         return tuple(JointSetpoint(held.jp, (0.0,) * 6, held.jaw, 0.0) for held in self.held)
 
     def going_on(self) -> tuple[JointSetpoint, ...]:
-        """Setpoints that go on with the last step of every joint."""
-        return tuple(
-            JointSetpoint(
-                tuple(2.0 * q - p for q, p in zip(new.jp, old.jp, strict=True)),
-                new.jv,
-                new.jaw,
-                0.0,
+        """Setpoints that go on with the last step of every joint; acceleration fades, smoothly."""
+        setpoints = []
+        for index, arm in enumerate(self.gate.envelope.arms):
+            a, b, c = (
+                (*row[index].jp, row[index].jaw) for row in (self.older, self.before, self.held)
             )
-            for new, old in zip(self.held, self.before, strict=True)
-        )
+            turns = [0.9 * jerk * self.period**3 for jerk in arm.max_jerk]
+            bends = [z - 2.0 * y + x for x, y, z in zip(a, b, c, strict=True)]
+            fading = [
+                math.copysign(max(abs(bend) - turn, 0.0), bend)
+                for bend, turn in zip(bends, turns, strict=True)
+            ]
+            q = [2.0 * z - y + bend for y, z, bend in zip(b, c, fading, strict=True)]
+            setpoints.append(JointSetpoint(tuple(q[:6]), self.held[index].jv, q[6], 0.0))
+        return tuple(setpoints)
 
     def moved(self, arm: int, joint: int, by: float) -> tuple[JointSetpoint, ...]:
         """The setpoints held, one joint (6: jaw) of one arm displaced."""
@@ -127,11 +134,31 @@ class Rig:
         for _ in range(cycles):
             assert self.ask(self.stay()).passed
 
+    def speeds(
+        self, joint: int, top: float, start: float = 0.0, share: float = 0.45
+    ) -> Iterator[float]:
+        """Speeds of a joint, cycle by cycle, from `start` to `top` and then for ever `top`.
+
+        Acceleration and jerk stay under `share` and twice `share` of the arm's limits.
+        """
+        arm = self.gate.envelope.arms[0]
+        most, bend = share * arm.max_acceleration[joint], 2.0 * share * arm.max_jerk[joint]
+        speed, acceleration = start, 0.0
+        while abs(top - speed) > 1e-12:
+            # Even steps down to no acceleration that end at the top, as the line's time base does.
+            unit = bend * self.period
+            steps = math.ceil(math.sqrt(0.25 + 2.0 * abs(top - speed) / (unit * self.period)) - 0.5)
+            wish = 2.0 * (top - speed) / (self.period * (steps + 1))
+            wish = min(max(wish, -most), most)
+            acceleration += min(max(wish - acceleration, -unit), unit)
+            speed += acceleration * self.period
+            yield speed
+        while True:
+            yield top
+
     def swing(self, cycles: int, joint: int = 2, top: float = 0.04) -> Decision:
-        """Accelerates one joint of the first arm gently, then keeps its speed."""
-        speed, acceleration = 0.0, 0.4 if joint == 2 else 3.0
-        for _ in range(cycles):
-            speed = min(speed + acceleration * self.period, top)
+        """Brings one joint of the first arm gently to a speed and keeps it."""
+        for speed in islice(self.speeds(joint, top), cycles):
             decision = self.ask(self.moved(0, joint, -speed * self.period))
             assert decision.passed, decision.verdicts
         return decision
@@ -156,9 +183,17 @@ class Rig:
 
 
 def asking(
-    arm: int, joint: int, q: float, step: float = 0.0, step_before: float = 0.0
+    arm: int,
+    joint: int,
+    q: float,
+    step: float = 0.0,
+    step_before: float = 0.0,
+    bend_before: float = 0.0,
 ) -> tuple[Cycle, CellEnvelope]:
-    """A cycle in which one joint is asked to be at `q` after `step`, having moved `step_before`."""
+    """A cycle in which one joint is asked to be at `q` after `step`, having moved `step_before`.
+
+    `bend_before` is the difference between `step_before` and the step before that.
+    """
     rig = Rig()
     envelope = rig.gate.envelope
     cycle = Cycle(envelope)
@@ -170,7 +205,7 @@ def asking(
     places = [*old.jp, old.jaw]
     places[joint] = q - step
     track.begin(JointSetpoint(tuple(places[:6]), (0.0,) * 6, places[6], 0.0))
-    track.step[joint] = step_before
+    track.step[joint], track.bend[joint] = step_before, bend_before
     places[joint] = q
     asked = JointSetpoint(tuple(places[:6]), (0.0,) * 6, places[6], 0.0)
     for other in cycle.tracks:

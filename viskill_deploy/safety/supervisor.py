@@ -235,14 +235,18 @@ class Supervisor:
             cycle.is_stopping = True
             self._stops = [track.stop() for track in cycle.tracks]
             self._stop_cycles, worst = 0, max(worst, Action.HOLD)
-        if worst >= Action.HOLD:
-            self._cause, self._dirty_at = verdicts, cycle.now
-        modes.escalate(worst)
         self._stop_cycles += 1
         time = self._stop_cycles * self.envelope.period
         for track, stop in zip(cycle.tracks, self._stops, strict=True):
             track.ask(stop.at(time))
             track.accept()
+            if not track.jerkiest <= 1.0:  # a stop that is none: the gate itself is broken
+                worst = max(worst, Action.FAULT)
+                rough = Verdict("S07", Action.FAULT, track.index, -1, track.jerkiest, 1.0)
+                verdicts = (*verdicts, rough)
+        if worst >= Action.HOLD:
+            self._cause, self._dirty_at = verdicts, cycle.now
+        modes.escalate(worst)
         return Decision(
             tuple([CheckedSetpoint(track.index, track.sent, _TOKEN) for track in cycle.tracks]),
             max(worst, modes.latched),

@@ -11,6 +11,8 @@ from viskill_deploy.safety.envelope import ROUNDING, ArmEnvelope
 from viskill_deploy.safety.geometry import Point
 from viskill_deploy.safety.stopping import ArmStop, Motion
 
+JERK_ROUNDING = 1e-7
+"""Relative width of the jerk limits: third differences of positions at 1 kHz carry 2e-8 of them."""
 NOWHERE: Point = (0.0, 0.0, 0.0)
 NO_JOINTS: Joints = (0.0,) * 7
 NO_SETPOINT = JointSetpoint(NO_JOINTS[:6], NO_JOINTS[:6], 0.0, 0.0)
@@ -32,13 +34,15 @@ class ArmTrack:
             acceleration times period squared.
         point, jaw_end: control point and jaw end at `q`, task frame, m.
         asked, asked_q, …: the same for what is asked in this cycle.
-        speed, acceleration: what is asked as a part of the limit, (7,), never negative.
-        fastest, sharpest: largest speed of the six joints, largest acceleration of all seven.
+        speed, acceleration, jerk: what is asked as a part of the limit, (7,), never negative.
+        fastest, sharpest, jerkiest: largest speed of the six joints, largest acceleration and
+            largest jerk of all seven.
         point_speed: speed of the control point, m/s.
     """
 
     __slots__ = (
         "_per_full_bend",
+        "_per_full_jerk",
         "_per_full_step",
         "_rate",
         "acceleration",
@@ -53,6 +57,8 @@ class ArmTrack:
         "fastest",
         "index",
         "jaw_end",
+        "jerk",
+        "jerkiest",
         "point",
         "point_speed",
         "q",
@@ -65,6 +71,7 @@ class ArmTrack:
 
     speed: list[float]
     acceleration: list[float]
+    jerk: list[float]
 
     def __init__(self, index: int, envelope: ArmEnvelope, period: float) -> None:
         self.index, self.envelope = index, envelope
@@ -72,6 +79,7 @@ class ArmTrack:
         unit, unit_2 = (1.0 - ROUNDING) / period, (1.0 - ROUNDING) / period**2
         self._per_full_step = [unit / x for x in envelope.max_speed]
         self._per_full_bend = [unit_2 / x for x in envelope.max_acceleration]
+        self._per_full_jerk = [(1.0 - JERK_ROUNDING) / period**3 / x for x in envelope.max_jerk]
         latency = 2.0 * max(period, envelope.feedback_period)
         self.recent: deque[JointSetpoint] = deque(maxlen=1 + ceil(latency / period))
         self.begin(NO_SETPOINT)
@@ -95,8 +103,10 @@ class ArmTrack:
         bend = self.asked_bend = list(map(sub, step, self.step))
         self.speed = list(map(mul, map(abs, step), self._per_full_step))
         self.acceleration = list(map(mul, map(abs, bend), self._per_full_bend))
+        self.jerk = list(map(mul, map(abs, map(sub, bend, self.bend)), self._per_full_jerk))
         self.fastest = max(self.speed[:6])
         self.sharpest = max(self.acceleration)
+        self.jerkiest = max(self.jerk)
         self.asked_point, self.asked_jaw_end = self.envelope.chain.points(q)
         self.point_speed = dist(self.asked_point, self.point) * self._rate
 

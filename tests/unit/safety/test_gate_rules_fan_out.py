@@ -297,6 +297,43 @@ def test_s06_scales_and_holds_by_acceleration(arm, joint, side, factor, action):
 @pytest.mark.parametrize("arm", ARMS)
 @pytest.mark.parametrize("joint", AXES)
 @pytest.mark.parametrize("side", SIGNS)
+@pytest.mark.parametrize(("factor", "action"), FACTORS)
+def test_s07_scales_and_holds_by_jerk(arm, joint, side, factor, action):
+    limit = Rig().gate.envelope.arms[arm].max_jerk[joint]
+    turn = side * factor * limit * PERIOD**3
+    cycle, _ = asking(arm, joint, 0.1, 0.001 + 2e-6 + turn, 0.001, 2e-6)
+    verdicts = words(made("S07"), cycle)
+    assert worst(verdicts) is action
+    for verdict in verdicts:
+        assert (verdict.arm, verdict.joint) == (arm, joint)
+        assert verdict.value == pytest.approx(factor * limit)
+        assert verdict.limit == limit
+
+
+@pytest.mark.parametrize("period", [0.001, 0.002, 0.004, 0.01])
+def test_s07_passes_jerk_at_its_limit_in_spite_of_rounding(period):
+    """Ten seconds of full jerk one way and back, at the far end of the range."""
+    rig = Rig(period)
+    cycle, rule = Cycle(rig.gate.envelope), RULES["S07"](rig.gate.envelope)
+    track, limit = cycle.tracks[0], rig.gate.envelope.arms[0].max_jerk
+    top = tuple(rig.gate.envelope.arms[0].upper)
+    track.begin(JointSetpoint(top[:6], (0.0,) * 6, top[6], 0.0))
+    turns = [j * period**3 for j in limit]
+    step, bend, q = [0.0] * 7, [0.0] * 7, list(top)
+    for k in range(1000):
+        side = 1.0 if k % 8 in (0, 1, 6, 7) else -1.0
+        bend = [b + side * t for b, t in zip(bend, turns, strict=True)]
+        step = [s + b for s, b in zip(step, bend, strict=True)]
+        q = [p + s for p, s in zip(q, step, strict=True)]
+        track.ask(JointSetpoint(tuple(q[:6]), (0.0,) * 6, q[6], 0.0))
+        assert words(rule, cycle) == []
+        assert track.jerkiest == pytest.approx(1.0, abs=2e-7)
+        track.accept()
+
+
+@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("joint", AXES)
+@pytest.mark.parametrize("side", SIGNS)
 @pytest.mark.parametrize(("factor", "holds"), [(0.5, 0), (1.0, 0), (1.000001, 1), (50.0, 1)])
 def test_s08_holds_on_a_jump(arm, joint, side, factor, holds):
     jump = 2.0 * Rig().gate.envelope.arms[arm].max_speed[joint] * PERIOD

@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from itertools import islice
 
 import pytest
 from gate_rig import PERIOD, Rig
@@ -184,9 +185,7 @@ def test_a_little_too_fast_passes_and_asks_the_time_base_to_slow_down():
 def test_scale_ends_by_itself():
     rig = Rig.running()
     rig.swing(60, top=0.055)
-    speed = 0.055
-    while speed > 0.045:
-        speed -= 0.5 * PERIOD
+    for speed in islice(rig.speeds(2, 0.045, start=0.055), 20):
         decision = rig.ask(rig.moved(0, 2, -speed * PERIOD))
     assert decision.action is Action.PASS
     assert decision.speed_scale == 1.0
@@ -368,6 +367,32 @@ def test_over_the_speed_ceiling_the_run_ends():
     assert decision.mode is Mode.HOLDING
     rig.rest()
     assert rig.gate.resume(rig.state(), rig.now) != ()
+
+
+class Jolt:
+    """A stop that goes on and then jumps: what no stop may be."""
+
+    def __init__(self, stop):
+        self.stop, self.duration_s = stop, stop.duration_s
+
+    def at(self, t):
+        setpoint = self.stop.at(t)
+        return replace(setpoint, jaw=setpoint.jaw + (1e-3 if t > 0.02 else 0.0))
+
+
+def test_the_gate_holds_its_own_stop_against_the_limit_of_jerk():
+    rig = Rig.running()
+    rig.swing(40)
+    assert rig.ask(None, failure="infeasible").action is Action.HOLD
+    rig.gate._stops[1] = Jolt(rig.gate._stops[1])
+    decisions = [rig.ask(rig.stay()) for _ in range(5)]
+    assert [d.action for d in decisions] == [Action.HOLD] * 4 + [Action.FAULT]
+    (verdict,) = decisions[-1].verdicts
+    assert (verdict.rule, verdict.arm, verdict.limit) == ("S07", 1, 1.0)
+    assert verdict.value == pytest.approx(1e-3 / PERIOD**3 / 1260.0)
+    assert rig.gate.mode is Mode.FAULT
+    rig.rest()
+    assert rig.gate.reset(rig.now) is Mode.CONNECTED
 
 
 # No way to take a rule out --------------------------------------------------------------------
