@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field, ValidationError
 
@@ -22,10 +21,14 @@ from viskill_deploy.core.cell_files import Rotation
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import BundleError
 from viskill_deploy.core.robot_files import Positive, Table
+from viskill_deploy.core.sealed import read_sealed, sealed
 from viskill_deploy.motion.waypoints import PITCH_UNIT_RAD, ActionSpec
 
 MANIFEST = "manifest.json"
+MAX_MANIFEST_BYTES = 2**20
 MAX_FILE_BYTES = 64 * 2**20
+MAX_BUNDLE_BYTES = 256 * 2**20
+"""A shipped bundle has 1 MB."""
 
 TASK_GOAL_SIZE = 3
 """Length of the task's goal as graphs see it: the point in `Scene.goal`, m."""
@@ -192,13 +195,6 @@ class Bundle:
     values: dict[str, Graph]
 
 
-def digest(content: dict[str, Any]) -> str:
-    """Hex SHA-256 of a manifest's content without its `digest` entry."""
-    body = {key: value for key, value in content.items() if key != "digest"}
-    text = json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def write_manifest(folder: Path, manifest: Manifest) -> Path:
     """Writes `manifest.json` with the hashes of the files that lie in `folder`.
 
@@ -210,9 +206,8 @@ def write_manifest(folder: Path, manifest: Manifest) -> Path:
         if path.is_file() and path.name != MANIFEST
     }
     content = manifest.model_dump(mode="json", by_alias=True) | {"files": hashes}
-    content["digest"] = digest(content)
     target = folder / MANIFEST
-    target.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    target.write_text(sealed(content), encoding="utf-8")
     return target
 
 
@@ -258,19 +253,14 @@ def read_manifest(folder: Path) -> Manifest:
     path = folder / MANIFEST
     if not path.is_file():
         raise BundleError(folder, f"holds no {MANIFEST}; name the folder of a policy bundle")
-    if path.stat().st_size > MAX_FILE_BYTES:
-        raise BundleError(path, "is far too large for a manifest; fetch the bundle again")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_no_constant)
-        manifest = Manifest.model_validate(content)
+        manifest = Manifest.model_validate(read_sealed(path, MAX_MANIFEST_BYTES))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         raise BundleError(path, f"{key}: {first['msg']}; export the bundle again") from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise BundleError(path, f"is not readable ({error}); fetch the bundle again") from error
-    if manifest.digest != digest(content):
-        raise BundleError(path, "was changed after export; fetch or export the bundle again")
+    except (OSError, ValueError) as error:
+        raise BundleError(path, f"{error}; fetch or export the bundle again") from error
     _check_sizes(path, manifest)
     return manifest
 
@@ -297,10 +287,6 @@ def check_fits(bundle: Bundle, cell: CellDescription) -> None:
             )
     if len(wanted) != len(present):
         raise BundleError(bundle.path, f"needs {len(wanted)} arms, the cell has {len(present)}")
-
-
-def _no_constant(text: str) -> float:
-    raise ValueError(f"{text} is no number for a manifest")
 
 
 def _check_sizes(path: Path, manifest: Manifest) -> None:
@@ -343,7 +329,7 @@ def _check_names(
 
 
 def _checked_files(folder: Path, manifest: Manifest) -> dict[str, bytes]:
-    contents = {}
+    contents: dict[str, bytes] = {}
     for name, expected in manifest.files.items():
         path = folder / name
         if Path(name).name != name or name in {"", ".", ".."} or path.is_symlink():
@@ -353,6 +339,8 @@ def _checked_files(folder: Path, manifest: Manifest) -> dict[str, bytes]:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise BundleError(path, "is larger than a bundle's file may be; export it again")
         contents[name] = path.read_bytes()
+        if sum(map(len, contents.values())) > MAX_BUNDLE_BYTES:
+            raise BundleError(folder, "is larger than a bundle may be; export it again")
         if hashlib.sha256(contents[name]).hexdigest() != expected:
             raise BundleError(path, "was changed after export (SHA-256); fetch the bundle again")
     unlisted = {entry.name for entry in folder.iterdir()} - set(contents) - {MANIFEST}

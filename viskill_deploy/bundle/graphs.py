@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+import resource
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,10 +23,20 @@ ORT_ERRORS: tuple[type[Exception], ...] = (
     ort_errors.NoSuchFile,
     ort_errors.NotImplemented,
     ort_errors.RuntimeException,
+    MemoryError,
     RuntimeError,
     ValueError,
 )
 """ONNX Runtime's errors share no base class."""
+
+NO_FOLDER = "/dev/null"
+"""Where a graph may look for weights in other files: nothing lies below a device. By default ONNX
+Runtime takes them from the working directory, unseen by any hash."""
+
+MEMORY_BYTES = 512 * 2**20
+"""What opening and running a graph may take. Two kilobytes of graph can ask for terabytes."""
+
+STATM = Path("/proc/self/statm")
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,11 +95,22 @@ def open_graph(path: Path, content: bytes, signature: Signature) -> Graph:
         signature: what it has to take and give.
 
     Raises:
-        BundleError: it is no ONNX graph, or takes or gives something else.
+        BundleError: it is no ONNX graph, takes or gives something else, needs other files, or
+            cannot answer zeros within `MEMORY_BYTES`.
     """
+    with _little_memory():
+        graph = _opened(path, content, signature)
+        graph(*(np.zeros(width) for width in signature.inputs.values()))
+    return graph
+
+
+def _opened(path: Path, content: bytes, signature: Signature) -> Graph:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 3
+    options.add_session_config_entry(
+        "session.model_external_initializers_file_folder_path", NO_FOLDER
+    )
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except ORT_ERRORS as error:
@@ -103,3 +126,21 @@ def open_graph(path: Path, content: bytes, signature: Signature) -> Graph:
                 path, f"has {found}, the manifest says {expected}; export the bundle again"
             )
     return Graph(path, signature, session)
+
+
+@contextlib.contextmanager
+def _little_memory() -> Iterator[None]:
+    """Lets this process take `MEMORY_BYTES` more and not all of the machine, where Linux can."""
+    if not STATM.exists():
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(STATM.read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    wanted = used + MEMORY_BYTES
+    resource.setrlimit(
+        resource.RLIMIT_AS, (wanted if soft == resource.RLIM_INFINITY else min(soft, wanted), hard)
+    )
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))

@@ -11,13 +11,20 @@ from viskill_deploy.core.robot_files import NonNegative, Positive, Table, Vector
 Rotation = Literal["yaw", "pitch"]
 """The one angle of its tool that an arm's policies command (see `motion.waypoints`)."""
 
+SIMULATED = "simulated"
+"""Serial number of an arm that is none."""
+
 
 class CellArmEntry(Table):
-    """One arm of a cell. The start angle that it gives says which one its policies command."""
+    """One arm of a cell. The start angle that it gives says which one its policies command.
+
+    A cell of real arms names their serial numbers and is not armed without their calibration.
+    """
 
     name: str
     robot: str
     tool: str
+    serial: str = SIMULATED
     base_position_m: Vector3
     base_rpy_rad: Vector3
     workspace_lower_m: Vector3

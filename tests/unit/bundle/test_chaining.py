@@ -11,9 +11,10 @@ import pytest
 from chaining import VALUES, chain_graph, replace_file, resign, value_graph
 
 from viskill_deploy.bundle.chain import SkillChain
-from viskill_deploy.bundle.format import MANIFEST, Bundle, digest, load_bundle
+from viskill_deploy.bundle.format import MANIFEST, Bundle, load_bundle
 from viskill_deploy.bundle.subgoals import FAR_OUTSIDE_M, ChosenSubgoals, subgoal_source
 from viskill_deploy.core.errors import BundleError, MotionError
+from viskill_deploy.core.sealed import sealed
 from viskill_deploy.core.types import Scene, SkillStart
 from viskill_deploy.sim.closed_loop import ClosedLoop
 from viskill_deploy.sim.tasks.base import load_task
@@ -116,8 +117,7 @@ def edited(folder: Path, edit: Callable[[dict[str, Any]], None]) -> None:
     path = folder / MANIFEST
     content = json.loads(path.read_text())
     edit(content)
-    content["digest"] = digest(content)
-    path.write_text(json.dumps(content))
+    path.write_text(sealed(content))
 
 
 BAD: dict[str, Callable[[dict[str, Any]], Any]] = {

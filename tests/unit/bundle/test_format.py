@@ -1,20 +1,25 @@
 """A bundle is loaded as it was exported, or refused with the file and what to do."""
 
 import json
+import resource
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import pytest
+from onnx import TensorProto, helper, numpy_helper
 
 from tests.conftest import linear_graph
+from viskill_deploy.bundle import graphs
 from viskill_deploy.bundle.chain import SkillChain
-from viskill_deploy.bundle.format import MANIFEST, check_fits, digest, load_bundle, write_manifest
+from viskill_deploy.bundle.format import MANIFEST, check_fits, load_bundle, write_manifest
 from viskill_deploy.bundle.format import Manifest as ManifestModel
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import BundleError
+from viskill_deploy.core.sealed import sealed
 from viskill_deploy.core.types import Scene, SkillStart
 from viskill_deploy.motion.waypoints import ActionSpec
 
@@ -27,8 +32,7 @@ def edited(folder: Path, edit: Edit) -> None:
     path = folder / MANIFEST
     content = json.loads(path.read_text())
     edit(content)
-    content["digest"] = digest(content)
-    path.write_text(json.dumps(content))
+    path.write_text(sealed(content))
 
 
 def test_a_correct_bundle_loads_and_fits_its_cell(untrained_bundle: Path) -> None:
@@ -227,3 +231,76 @@ def test_a_chain_runs_each_skill_for_its_budget_with_its_own_subgoal(
     assert {c.start.value for c in choices} == {None}
     assert choices[50].may_open_jaw == (False, True)
     assert all(c.action.shape == (10,) for c in choices)
+
+
+def layered(nodes: list[onnx.NodeProto], tensors: list[TensorProto]) -> bytes:
+    """A skill of the right signature, made of any nodes."""
+    sizes = (("obs", 35), ("goal", 8))
+    inputs = [helper.make_tensor_value_info(n, TensorProto.FLOAT, ["N", k]) for n, k in sizes]
+    outputs = [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["N", 10])]
+    graph = helper.make_graph(nodes, "skill", inputs, outputs, tensors)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)])
+    model.ir_version = 8
+    return bytes(model.SerializeToString())
+
+
+@pytest.mark.parametrize("place", ["weights.bin", "../run/weights.bin"])
+def test_weights_that_lie_outside_the_graph_are_refused(
+    untrained_bundle: Path, place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = untrained_bundle.parent / "run"
+    work.mkdir()
+    np.ones((35, 10), np.float32).tofile(work / "weights.bin")
+    monkeypatch.chdir(work)
+    outside = TensorProto(name="w", data_type=TensorProto.FLOAT, dims=[35, 10])
+    outside.data_location = TensorProto.EXTERNAL
+    outside.external_data.add(key="location", value=place)
+    replace_graph(
+        untrained_bundle, layered([helper.make_node("MatMul", ["obs", "w"], ["action"])], [outside])
+    )
+    with pytest.raises(BundleError, match=r"skill-grasp\.onnx.*export it again"):
+        load_bundle(untrained_bundle)
+
+
+@pytest.mark.parametrize("numbers", [2**28, 2**34, 2**40])
+def test_a_small_graph_that_asks_for_gigabytes_is_refused(
+    untrained_bundle: Path, numbers: int
+) -> None:
+    nodes = [
+        helper.make_node("ConstantOfShape", ["shape"], ["big"]),
+        helper.make_node("ReduceSum", ["big"], ["sum"], keepdims=0),
+        helper.make_node("MatMul", ["obs", "w"], ["y"]),
+        helper.make_node("Add", ["y", "sum"], ["action"]),
+    ]
+    tensors = [
+        numpy_helper.from_array(np.array([numbers]), "shape"),
+        numpy_helper.from_array(np.zeros((35, 10), np.float32), "w"),
+    ]
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    replace_graph(untrained_bundle, layered(nodes, tensors))
+    with pytest.raises(BundleError, match=r"cannot run|no usable"):
+        load_bundle(untrained_bundle)
+    assert resource.getrlimit(resource.RLIMIT_AS) == before
+
+
+def test_where_memory_cannot_be_limited_graphs_are_opened_all_the_same(
+    untrained_bundle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(graphs, "STATM", untrained_bundle / "none")
+    load_bundle(untrained_bundle)
+
+
+def test_a_bundle_that_is_too_large_as_a_whole_is_refused(
+    untrained_bundle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("viskill_deploy.bundle.format.MAX_BUNDLE_BYTES", 4000)
+    with pytest.raises(BundleError, match="larger than a bundle"):
+        load_bundle(untrained_bundle)
+
+
+def test_a_manifest_that_is_a_link_is_refused(untrained_bundle: Path) -> None:
+    manifest = untrained_bundle / MANIFEST
+    manifest.rename(untrained_bundle.parent / "elsewhere.json")
+    manifest.symlink_to(untrained_bundle.parent / "elsewhere.json")
+    with pytest.raises(BundleError, match="is a link"):
+        load_bundle(untrained_bundle)
