@@ -94,13 +94,13 @@ def read_calibration(path: Path) -> CalibrationFile:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         reason = first["msg"].removeprefix("Value error, ")
-        raise CalibrationError(path, f"{key}: {reason}; {AGAIN}") from error
+        raise CalibrationError(f"{path}: {key}: {reason}; {AGAIN}") from error
     except OSError as error:
         raise CalibrationError(
-            path, f"cannot be read ({error.strerror}); name a calibration file"
+            f"{path}: cannot be read ({error.strerror}); name a calibration file"
         ) from error
     except ValueError as error:
-        raise CalibrationError(path, f"{error}; {AGAIN}, or copy the file again") from error
+        raise CalibrationError(f"{path}: {error}; {AGAIN}, or copy the file again") from error
 
 
 def write_calibration(path: Path, calibration: CalibrationFile) -> Path:
@@ -118,13 +118,13 @@ def calibrated(cell: CellDescription, calibration: CalibrationFile, path: Path) 
     """
     if calibration.cell != cell.name:
         raise CalibrationError(
-            path, f"was made for cell {calibration.cell!r}, not {cell.name!r}; use that cell's"
+            f"{path}: was made for cell {calibration.cell!r}, not {cell.name!r}; use that cell's"
         )
     made_for = [(a.name, a.robot, a.serial, a.tool) for a in calibration.arms]
     present = [(a.name, a.entry.robot, a.entry.serial, a.entry.tool) for a in cell.arms]
     if made_for != present:
         raise CalibrationError(
-            path, f"was made for {_arms(made_for)}; the cell holds {_arms(present)}; {AGAIN}"
+            f"{path}: was made for {_arms(made_for)}; the cell holds {_arms(present)}; {AGAIN}"
         )
     arms = tuple(
         _placed(arm, entry) for arm, entry in zip(cell.arms, calibration.arms, strict=True)

@@ -62,18 +62,9 @@ class BundleError(ViskillError, ValueError):
 
 
 class CalibrationError(ViskillError, ValueError):
-    """A calibration is missing, wrong or too old.
-
-    Attributes:
-        path: the file.
-        reason: what is wrong with it and what to do.
-    """
+    """A calibration is missing, wrong or too old."""
 
     exit_code = 3
-
-    def __init__(self, path: Path | str, reason: str) -> None:
-        self.path, self.reason = Path(path), reason
-        super().__init__(f"{self.path}: {reason}")
 
 
 class KinematicsError(ViskillError, ValueError):

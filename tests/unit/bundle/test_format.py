@@ -23,6 +23,8 @@ from viskill_deploy.core.sealed import sealed
 from viskill_deploy.core.types import Scene, SkillStart
 from viskill_deploy.motion.waypoints import ActionSpec
 
+pytestmark = pytest.mark.invariant("S28")
+
 Edit = Callable[[dict[str, Any]], None]
 SCENE = Scene(0.0, (), "", np.zeros(3))
 

@@ -8,6 +8,8 @@ import pytest
 
 from viskill_deploy.core.sealed import digest, read_sealed, sealed
 
+pytestmark = pytest.mark.invariant("S28")
+
 CONTENT = {"name": "ä name", "numbers": [0.5235987755982988, -7e-05, 3], "nested": {"yes": True}}
 
 
