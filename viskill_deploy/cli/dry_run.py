@@ -70,6 +70,33 @@ def command(
         float, typer.Option(min=0, help="Measurement noise of objects, m.")
     ] = 0.0,
     delay: Annotated[int, typer.Option(min=0, help="Control periods from setpoint to effect.")] = 0,
+    lag: Annotated[
+        float, typer.Option(min=0, help="Time constant with which the arms follow, s.")
+    ] = 0.0,
+    friction: Annotated[
+        bool, typer.Option("--friction", help="Joints have the Coulomb friction of their files.")
+    ] = False,
+    joint_offset: Annotated[
+        float, typer.Option(min=0, help="Error of the angles' zero, standard deviation, rad.")
+    ] = 0.0,
+    insertion_offset: Annotated[
+        float, typer.Option(min=0, help="Error of the insertion's zero, standard deviation, m.")
+    ] = 0.0,
+    base_error: Annotated[
+        float, typer.Option(min=0, help="Error of where an arm stands, standard deviation, m.")
+    ] = 0.0,
+    base_turn: Annotated[
+        float, typer.Option(min=0, help="Error of how an arm is turned, standard deviation, rad.")
+    ] = 0.0,
+    drops: Annotated[
+        float, typer.Option(min=0, max=0.99, help="Part of the messages lost, each way.")
+    ] = 0.0,
+    jitter: Annotated[
+        float, typer.Option(min=0, help="The loop wakes late by up to this, s; not --realtime.")
+    ] = 0.0,
+    stuck_joint: Annotated[
+        str, typer.Option(help="A joint that does not move, such as PSM1/yaw.")
+    ] = "",
     require_success: Annotated[
         float, typer.Option(min=0, max=1, help="Exit 1 below this success rate.")
     ] = 0.0,
@@ -86,12 +113,28 @@ def command(
     """
     prepared = prepare(bundle)
     _check(prepared, distribution, ik_solver)
+    world = WorldOptions(
+        period_s=1.0 / rate,
+        joint_noise_rad=joint_noise,
+        joint_noise_m=insertion_noise,
+        object_noise_m=object_noise,
+        delay_periods=delay,
+        joint_friction=friction,
+        lag_s=lag,
+        joint_offset_rad=joint_offset,
+        joint_offset_m=insertion_offset,
+        base_error_m=base_error,
+        base_error_rad=base_turn,
+        drop_rate=drops,
+        jitter_s=jitter,
+        stuck=stuck_joint,
+    )
     options = DryRunOptions(
         episodes=episodes,
         seed=seed,
         distribution=distribution,
         mode="plan" if mode is ModeName.PLAN else "closed-loop",
-        world=WorldOptions(1.0 / rate, joint_noise, insertion_noise, object_noise, delay),
+        world=world,
         real_time=realtime,
         ik_solver=ik_solver,
         speed=speed,

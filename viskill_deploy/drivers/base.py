@@ -86,6 +86,10 @@ class Driver(Protocol):
         """What the simulated operator does; only where `capabilities.simulated`."""
         ...
 
+    def break_drive(self, joint: str, kind: str) -> None:
+        """Breaks a joint's drive ("stuck", "slip") or mends all; only where simulated."""
+        ...
+
     def active_object(self) -> ActiveObject:
         """The truth about the active object; only where `capabilities.simulated`."""
         ...

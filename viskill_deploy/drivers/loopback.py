@@ -32,17 +32,25 @@ def accepted(setpoints: Sequence[CheckedSetpoint]) -> list[JointSetpoint]:
 
 
 class _WorldClock(SteppedClock):
-    """Simulated time: sleeping lets the world run."""
+    """Simulated time: sleeping lets the world run. The sleeper may wake late, the world does not.
+
+    Attributes:
+        world_s: time of the world, in whole control periods.
+    """
 
     def __init__(self, driver: LoopbackDriver) -> None:
         super().__init__()
-        self._driver = driver
+        self._driver, self.world_s = driver, super().now()
 
     def sleep_until(self, deadline_s: float) -> float:
-        """Runs whole control periods until the deadline is reached."""
-        while self.now() < deadline_s - 1e-9:
+        """Runs whole control periods until the deadline is reached; those that fit, if late."""
+        late = self._driver.lateness_s()
+        period = self._driver.period_s
+        while self.world_s + (period if late else 0.0) < deadline_s + late - 1e-9:
             self._driver.advance()
-            self.advance(self._driver.period_s)
+            self.world_s += period
+        woken = deadline_s + late if late else self.world_s
+        self.advance(max(woken - self.now(), 0.0))
         return self.now()
 
 
@@ -51,8 +59,8 @@ class LoopbackDriver:
 
     Args:
         cell: the cell.
-        options: period, noise, delay.
-        seed: of the measurement noise.
+        options: period, noise, delay and what else is not perfect.
+        seed: of noise, offsets and losses.
     """
 
     capabilities = Capabilities(simulated=True, stepped=True, resettable=True, sees_scene=True)
@@ -62,7 +70,8 @@ class LoopbackDriver:
     ) -> None:
         self.world = World(cell, options, seed)
         self.period_s = self.world.options.period_s
-        self.clock: Clock = _WorldClock(self)
+        self._time = _WorldClock(self)
+        self.clock: Clock = self._time
         self._cell: LoopbackCell | None = None
 
     @property
@@ -104,7 +113,7 @@ class LoopbackDriver:
 
     def state(self) -> CellState:
         """The newest measurement."""
-        return self.cell.state(self.clock.now())
+        return self.cell.state(self._time.world_s)
 
     def servo_jp(self, setpoints: Sequence[CheckedSetpoint]) -> None:
         """Sends one checked setpoint an arm."""
@@ -112,7 +121,7 @@ class LoopbackDriver:
 
     def scene(self) -> Scene:
         """The objects as the simulator knows them."""
-        return self.cell.scene(self.clock.now())
+        return self.cell.scene(self._time.world_s)
 
     def reset(self, layout: Scene) -> None:
         """Puts objects where `layout` says and the arms in their start pose."""
@@ -121,6 +130,14 @@ class LoopbackDriver:
     def active_object(self) -> ActiveObject:
         """The truth about the active object, for judging success."""
         return self.world.active_object()
+
+    def break_drive(self, joint: str, kind: str) -> None:
+        """A joint's drive breaks; for tests of what happens then."""
+        self.cell.break_drive(joint, kind)
+
+    def lateness_s(self) -> float:
+        """How late the control loop wakes this time."""
+        return self.world.imperfections.lateness_s()
 
     def advance(self) -> None:
         """One control period of physics; a disconnected cell stands still."""

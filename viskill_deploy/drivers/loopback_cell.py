@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from viskill_deploy.core.errors import DriverError
+from viskill_deploy.core.errors import DriverError, ViskillError
 from viskill_deploy.core.types import (
     PSM_JOINTS,
     ArmState,
@@ -39,11 +39,14 @@ class LoopbackCell:
         self._consent = self._estop = False
         self._setpoints: list[JointSetpoint] = []
         self._silent_s = 0.0
+        self._known: CellState | None = None  # the newest state that has arrived
+        self._is_lost = False
         self._stay_at_home()
 
     def reset(self, scene: Scene) -> None:
         """Puts objects where `scene` says and the arms in their start pose, at rest."""
         self.world.reset(scene)
+        self._known = None
         self._stay_at_home()
 
     def enable(self) -> None:
@@ -69,6 +72,26 @@ class LoopbackCell:
         self.hold()
         self._state = DISABLED
 
+    def break_drive(self, joint: str, kind: str) -> None:
+        """A joint's drive breaks: "stuck" or "slip"; "mended" ends it for all joints.
+
+        Raises:
+            DriverError: there is no such joint or kind.
+        """
+        drives = self.world.drives
+        try:
+            match kind:
+                case "stuck":
+                    drives.stick(joint)
+                case "slip":
+                    drives.slip(joint)
+                case "mended":
+                    drives.mend()
+                case _:
+                    raise DriverError(f"a drive can be stuck, slip or be mended, not {kind!r}")
+        except ViskillError as error:
+            raise DriverError(str(error)) from error
+
     def say(self, consent: bool | None = None, estop: bool | None = None) -> None:
         """What the simulated operator does: agrees to motion, presses the e-stop."""
         self._consent = self._consent if consent is None else consent
@@ -86,7 +109,8 @@ class LoopbackCell:
             raise DriverError(
                 f"servo_jp: {len(setpoints)} setpoints for {len(self._setpoints)} arms"
             )
-        self._setpoints, self._silent_s = list(setpoints), 0.0
+        if not self.world.imperfections.loses():
+            self._setpoints, self._silent_s = list(setpoints), 0.0
 
     def advance(self) -> None:
         """Lets one control period pass."""
@@ -94,9 +118,15 @@ class LoopbackCell:
         if self._silent_s > STREAM_TIMEOUT_S:
             self.hold()
         self.world.step(self._setpoints)
+        self._is_lost = self.world.imperfections.loses()
 
     def state(self, now: float) -> CellState:
-        """Every arm as measured at `now`."""
+        """Every arm as measured at `now`; the state before, when this period's was lost."""
+        if self._known is None or not self._is_lost:
+            self._known = self._measured(now)
+        return self._known
+
+    def _measured(self, now: float) -> CellState:
         arms = []
         for index, arm in enumerate(self.world.cell.arms):
             seen, held = self.world.measured(index), self._setpoints[index]

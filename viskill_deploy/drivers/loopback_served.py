@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import json
 import socket
 import subprocess
 import sys
@@ -65,8 +67,8 @@ class ServedLoopback:
 
     Args:
         cell: the cell; the server loads it by its name.
-        options: period, noise, delay.
-        seed: of the measurement noise.
+        options: period, noise, delay and what else is not perfect.
+        seed: of noise, offsets and losses.
 
     Attributes:
         path: the server's socket, for a `StopHandle`.
@@ -97,16 +99,8 @@ class ServedLoopback:
         """
         command = [sys.executable, "-m", "viskill_deploy.drivers.loopback_server"]
         command += ["--cell", self._cell.name, "--socket", str(self.path)]
-        o = self._options
-        for name, value in (
-            ("--period", o.period_s),
-            ("--seed", self._seed),
-            ("--joint-noise", o.joint_noise_rad),
-            ("--insertion-noise", o.joint_noise_m),
-            ("--object-noise", o.object_noise_m),
-            ("--delay", o.delay_periods),
-        ):
-            command += [name, str(value)]
+        command += ["--seed", str(self._seed)]
+        command += ["--options", json.dumps(dataclasses.asdict(self._options))]
         # a session of its own: Ctrl-C in the terminal is for the runtime, which needs the robot
         self.process = subprocess.Popen(command, start_new_session=True)
         try:
@@ -176,6 +170,10 @@ class ServedLoopback:
     def active_object(self) -> ActiveObject:
         """The truth about the active object, for judging success."""
         return unpack_object(self._ask({"do": "active_object"})["object"])
+
+    def break_drive(self, joint: str, kind: str) -> None:
+        """A joint's drive breaks; for tests of what happens then."""
+        self._ask({"do": "break_drive", "joint": joint, "kind": kind})
 
     def _connected_line(self) -> LineSocket:
         if self._line is None:

@@ -7,6 +7,7 @@ or a stop button holds on to. When the controlling client goes, the arms hold, a
 from __future__ import annotations
 
 import argparse
+import json
 import selectors
 import socket
 from pathlib import Path
@@ -121,6 +122,8 @@ class LoopbackServer:
                 cell.reset(unpack_scene(message["scene"]))
             case "say":
                 cell.say(message.get("consent"), message.get("estop"))
+            case "break_drive":
+                cell.break_drive(message["joint"], message["kind"])
             case "active_object":
                 pass
             case "stop":
@@ -144,16 +147,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cell", required=True)
     parser.add_argument("--socket", type=Path, required=True)
-    parser.add_argument("--period", type=float, default=0.004)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--joint-noise", type=float, default=0.0)
-    parser.add_argument("--insertion-noise", type=float, default=0.0)
-    parser.add_argument("--object-noise", type=float, default=0.0)
-    parser.add_argument("--delay", type=int, default=0)
+    parser.add_argument("--options", type=json.loads, default={}, help="WorldOptions, as JSON")
     args = parser.parse_args()
-    options = WorldOptions(
-        args.period, args.joint_noise, args.insertion_noise, args.object_noise, args.delay
-    )
+    options = WorldOptions(**args.options)
     world = World(load_cell(args.cell), options, args.seed)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
         listener.bind(str(args.socket))

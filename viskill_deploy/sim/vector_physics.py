@@ -47,8 +47,10 @@ class VectorPhysics:
         bystanders: bool = True,
         threads: int = 1,
     ) -> None:
-        if max(options.joint_noise_rad, options.joint_noise_m, options.object_noise_m) > 0.0:
-            raise ValueError("worlds side by side are without noise; set the noises to 0")
+        if not options.is_plain:
+            raise ValueError(
+                "worlds side by side are without noise, errors, lag and losses; set those to 0"
+            )
         self.world, self.count, self._bystanders = World(cell, options), count, bystanders
         self._threads = threads
         self._groups: dict[str, Worlds] = {}

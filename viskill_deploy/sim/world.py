@@ -7,7 +7,6 @@ of at most 4 ms.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,42 +18,22 @@ from viskill_deploy.core.description import CellArm, CellDescription
 from viskill_deploy.core.types import ActiveObject, FloatArray, JointSetpoint, ObjectPose, Scene
 from viskill_deploy.motion.resolve import resolve
 from viskill_deploy.motion.waypoints import start_waypoint
+from viskill_deploy.sim.imperfections import (
+    AXES,
+    Drives,
+    Imperfections,
+    WorldOptions,
+    displace_bases,
+)
 from viskill_deploy.sim.scene import LONGEST_STEP_S, build_model
 from viskill_deploy.sim.things import Things, colour
 
-AXES = 7
+__all__ = ["AXES", "ArmReading", "World", "WorldOptions", "controls"]
+
 SETTLE_S = 0.25
 """Things are let fall for this long at a reset, as in the reference scene."""
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-
-
-@dataclass(frozen=True, slots=True)
-class WorldOptions:
-    """How the world differs from a perfect one. All off by default.
-
-    Attributes:
-        period_s: control period.
-        joint_noise_rad: standard deviation of measured revolute joints and jaws.
-        joint_noise_m: standard deviation of measured insertions.
-        object_noise_m: standard deviation of measured object positions.
-        delay_periods: control periods between a setpoint and its effect.
-        joint_friction: whether the joints have the Coulomb friction of their files.
-    """
-
-    period_s: float = 0.004
-    joint_noise_rad: float = 0.0
-    joint_noise_m: float = 0.0
-    object_noise_m: float = 0.0
-    delay_periods: int = 0
-    joint_friction: bool = False
-
-    def __post_init__(self) -> None:
-        noises = (self.joint_noise_rad, self.joint_noise_m, self.object_noise_m)
-        if not (0.0 < self.period_s <= 0.1 and min(noises) >= 0.0 and self.delay_periods >= 0):
-            raise ValueError(
-                "period_s must be in (0, 0.1] s, noises and delay_periods not negative"
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,13 +65,15 @@ class World:
 
     Args:
         cell: the cell.
-        options: period, noise, delay.
-        seed: of the measurement noise.
+        options: period, noise, delay and what else is not perfect.
+        seed: of noise, offsets and losses.
         only: name of the one free thing to have; all of them by default.
 
     Attributes:
         cell: the cell.
         options: as given.
+        imperfections: what lies between the driver and this world.
+        drives: the arms' drives, which can break.
         substeps: physics steps in a control period.
         model, data: MuJoCo's, for rendering; leave writing to this class.
     """
@@ -109,12 +90,15 @@ class World:
         self.model = build_model(
             cell, self.options.period_s / self.substeps, self.options.joint_friction, only
         )
+        displace_bases(self.model, cell, self.options, seed)
         self.data = mujoco.MjData(self.model)
+        self.imperfections = Imperfections(self.options, len(cell.arms), seed)
+        self.drives = Drives(self.model)
+        if self.options.stuck:
+            self.drives.stick(self.options.stuck)
         self._arms = [_ArmIndex(self.model, arm) for arm in cell.arms]
         self._things = Things(self.model)
         self._active, self._goal = "", np.zeros(3)
-        self._rng = np.random.default_rng(seed)
-        self._pending: deque[FloatArray] = deque()
         home = resolve(cell, [start_waypoint(cell)], [(0.0,) * AXES] * len(self._arms))
         self.home: FloatArray = home[1]
         """Axis positions (arms, 7) of the cell's start pose."""
@@ -140,8 +124,8 @@ class World:
         return float(self.data.time)
 
     def seed(self, seed: int) -> None:
-        """Restarts the measurement noise."""
-        self._rng = np.random.default_rng(seed)
+        """Restarts noise, losses and jitter."""
+        self.imperfections.seed(seed)
 
     def reset(self, scene: Scene, axes: npt.ArrayLike | None = None) -> None:
         """Puts things and arms in place, lets the things fall and starts time at 0.
@@ -163,13 +147,13 @@ class World:
         start = self.home if axes is None else np.asarray(axes, dtype=np.float64)
         mujoco.mj_resetData(self.model, self.data)
         self._things.place(self.data, scene)
-        for index, row in zip(self._arms, start, strict=True):
+        true = self.imperfections.true_axes(start)
+        for index, row in zip(self._arms, true, strict=True):
             self.data.qpos[index.qpos[:6]] = row[:6]
             self.data.qpos[index.qpos[6:]] = max(row[6], 0.0) / 2
         self.attend(scene.active, scene.goal)
         still = controls(start, np.zeros_like(start))
-        self._pending = deque([still] * self.options.delay_periods)
-        self.data.ctrl[:] = still
+        self.data.ctrl[:] = self.imperfections.start(still)
 
     def attend(self, active: str, goal: FloatArray) -> None:
         """Says which thing counts, and where it has to go."""
@@ -194,21 +178,16 @@ class World:
             self._period(row)
 
     def _period(self, row: FloatArray) -> None:
-        self._pending.append(row)
-        self.data.ctrl[:] = self._pending.popleft()
+        self.data.ctrl[:] = self.imperfections.felt(row)
         mujoco.mj_step(self.model, self.data, nstep=self.substeps)
 
     def measured(self, arm: int) -> ArmReading:
         """What the arm's sensors say, with noise where the options ask for it."""
         index = self._arms[arm]
         q, v = self.data.qpos[index.qpos], self.data.qvel[index.qvel]
-        jp, jaw = q[:6].copy(), float(q[6] + q[7])
-        if self.options.joint_noise_rad or self.options.joint_noise_m:
-            scale = np.full(AXES, self.options.joint_noise_rad)
-            scale[2] = self.options.joint_noise_m
-            noise = self._rng.normal(0.0, 1.0, AXES) * scale
-            jp, jaw = jp + noise[:6], jaw + float(noise[6])
-        return ArmReading(tuple(jp.tolist()), tuple(v[:6].tolist()), jaw, float(v[6] + v[7]))
+        q[6] += q[7]
+        *jp, jaw = self.imperfections.measured(arm, q[:AXES]).tolist()
+        return ArmReading(tuple(jp), tuple(v[:6].tolist()), jaw, float(v[6] + v[7]))
 
     def scene(self) -> Scene:
         """Where the things are, as a camera would tell, with noise where asked for."""
@@ -216,7 +195,7 @@ class World:
         for name in self._things.names:
             pose = self._things.pose(self.data, name)
             if self.options.object_noise_m:
-                pose[:3, 3] += self._rng.normal(0.0, self.options.object_noise_m, 3)
+                pose[:3, 3] += self.imperfections.seen_shift()
             objects.append(ObjectPose(name, pose))
         return Scene(self.time_s, tuple(objects), self._active, self._goal)
 
