@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from viskill_deploy.calibrate.measurements import Measurements
-from viskill_deploy.calibrate.parameters import ArmErrors
+from viskill_deploy.core.arm_errors import ArmErrors
 from viskill_deploy.core.description import CellArm, load_cell
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.kinematics.model import forward_batch

@@ -18,9 +18,10 @@ from viskill_deploy.calibrate.parameters import (
     NAMES,
     PARAMETERS,
     USUAL,
-    ArmErrors,
+    errors_of,
 )
 from viskill_deploy.calibrate.registration import GATE, register
+from viskill_deploy.core.arm_errors import ArmErrors
 from viskill_deploy.core.description import CellArm
 from viskill_deploy.core.errors import CalibrationError
 from viskill_deploy.core.types import FloatArray
@@ -121,7 +122,7 @@ def fit_arm(arm: CellArm, measured: Measurements, seed: int = 0) -> ArmFit:
     sigma = np.where(is_free, np.sqrt(np.diag(covariance)), np.nan)
     frozen = tuple(name for name, free in zip(NAMES, is_free, strict=True) if not free)
     return ArmFit(
-        ArmErrors.of(vector),
+        errors_of(vector),
         vector,
         sigma,
         covariance,

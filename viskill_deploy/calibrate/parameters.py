@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from viskill_deploy.core.arm_errors import ArmErrors
 from viskill_deploy.core.types import FloatArray
-
-WRIST = slice(3, 6)
-"""Joints that are driven through cables: roll, wrist pitch, wrist yaw."""
 
 JOINTS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
 
@@ -68,57 +66,33 @@ BACKLASH, COUPLING = slice(14, 17), slice(17, 26)
 DELAY = 26
 
 
-@dataclass(frozen=True, slots=True)
-class ArmErrors:
-    """What an arm is, beside what its file says.
+def errors_of(vector: FloatArray) -> ArmErrors:
+    """Errors from the vector of all parameters, (27,)."""
+    values = vector.tolist()
+    rows = np.asarray(vector)[COUPLING].reshape(3, 3).tolist()
+    return ArmErrors(
+        tuple(values[BASE_ROTATION]),
+        tuple(values[BASE_TRANSLATION]),
+        tuple(values[OFFSETS]),
+        values[TOOL_LENGTH],
+        values[POINT],
+        tuple(values[BACKLASH]),
+        tuple(tuple(row) for row in rows),
+        values[DELAY],
+    )
 
-    Attributes:
-        base_rotation_rad: rotation vector of the true base in the nominal base, (3,).
-        base_translation_m: true minus nominal origin of the base, task axes, (3,).
-        joint_offset: true minus reported joints, (6,), rad and m.
-        tool_length_m: true minus nominal length of the tool's shaft.
-        point_m: how much further along the tip's z the measured point is than stated.
-        backlash_rad: half the play of the cable-driven joints, (3,): they lag behind by it.
-        coupling: stretch of the cables, (3, 3): error of a wrist joint per reported wrist angle.
-        delay_s: how much older the joints behind a measured point are than its stamp says.
-    """
 
-    base_rotation_rad: tuple[float, ...] = (0.0,) * 3
-    base_translation_m: tuple[float, ...] = (0.0,) * 3
-    joint_offset: tuple[float, ...] = (0.0,) * 6
-    tool_length_m: float = 0.0
-    point_m: float = 0.0
-    backlash_rad: tuple[float, ...] = (0.0,) * 3
-    coupling: tuple[tuple[float, ...], ...] = ((0.0,) * 3,) * 3
-    delay_s: float = 0.0
-
-    @classmethod
-    def of(cls, vector: FloatArray) -> ArmErrors:
-        """From the vector of all parameters, (27,)."""
-        values = vector.tolist()
-        rows = np.asarray(vector)[COUPLING].reshape(3, 3).tolist()
-        return cls(
-            tuple(values[BASE_ROTATION]),
-            tuple(values[BASE_TRANSLATION]),
-            tuple(values[OFFSETS]),
-            values[TOOL_LENGTH],
-            values[POINT],
-            tuple(values[BACKLASH]),
-            tuple(tuple(row) for row in rows),
-            values[DELAY],
-        )
-
-    def vector(self) -> FloatArray:
-        """All parameters in order, (27,)."""
-        return np.array(
-            [
-                *self.base_rotation_rad,
-                *self.base_translation_m,
-                *self.joint_offset,
-                self.tool_length_m,
-                self.point_m,
-                *self.backlash_rad,
-                *(value for row in self.coupling for value in row),
-                self.delay_s,
-            ]
-        )
+def vector_of(errors: ArmErrors) -> FloatArray:
+    """All parameters in order, (27,)."""
+    return np.array(
+        [
+            *errors.base_rotation_rad,
+            *errors.base_translation_m,
+            *errors.joint_offset,
+            errors.tool_length_m,
+            errors.point_m,
+            *errors.backlash_rad,
+            *(value for row in errors.coupling for value in row),
+            errors.delay_s,
+        ]
+    )

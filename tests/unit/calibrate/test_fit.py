@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +10,11 @@ from measured_arm import TYPICAL, cell_arm, measured, poses, true_points, with_p
 from viskill_deploy.calibrate.error_model import ErrorModel
 from viskill_deploy.calibrate.fit import ArmFit, fit_arm
 from viskill_deploy.calibrate.measurements import Measurements
-from viskill_deploy.calibrate.parameters import NAMES, USUAL, ArmErrors
+from viskill_deploy.calibrate.parameters import NAMES, USUAL, errors_of, vector_of
+from viskill_deploy.core.arm_errors import ArmErrors, with_errors
+from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import CalibrationError
+from viskill_deploy.kinematics.model import forward_batch
 
 ARM = cell_arm()
 BLIND_AT_PIVOT = {
@@ -33,7 +37,7 @@ def _tip_errors(fit: ArmFit, truth: ArmErrors) -> np.ndarray:
 
 def test_the_vector_and_its_names_go_together() -> None:
     vector = np.arange(27.0)
-    np.testing.assert_array_equal(ArmErrors.of(vector).vector(), vector)
+    np.testing.assert_array_equal(vector_of(errors_of(vector)), vector)
     assert len(NAMES) == len(set(NAMES)) == 27
 
 
@@ -43,7 +47,7 @@ def test_the_model_follows_the_definitions() -> None:
     m = Measurements(m.stamps, m.joints, m.speeds, m.turns, m.points, 0.0102)
     vector = rng.normal(0, 1, 27) * USUAL
     np.testing.assert_allclose(
-        ErrorModel(ARM).points(vector, m), true_points(ARM, ArmErrors.of(vector), m), atol=1e-12
+        ErrorModel(ARM).points(vector, m), true_points(ARM, errors_of(vector), m), atol=1e-12
     )
 
 
@@ -78,7 +82,7 @@ def test_sigmas_are_honest() -> None:
     scores = []
     for seed in range(6):
         fit = fit_arm(ARM, measured(ARM, TYPICAL, 80, seed=seed)[0])
-        z = np.abs(fit.vector - TYPICAL.vector()) / fit.sigma
+        z = np.abs(fit.vector - vector_of(TYPICAL)) / fit.sigma
         scores += z[np.isfinite(z)].tolist()
     assert 0.88 <= np.mean(np.array(scores) < 2.0) <= 1.0
 
@@ -188,3 +192,26 @@ def test_points_in_one_plane_freeze_what_they_hide() -> None:
     flat = m.chosen(np.abs(height - np.median(height)) < 1.5e-3)
     fit = fit_arm(ARM, with_points(flat, true_points(ARM, ArmErrors(), flat)))
     assert np.median(_tip_errors(fit, ArmErrors())) < 1e-4
+
+
+def test_the_calibrated_cell_says_where_the_tip_is() -> None:
+    truth = replace(TYPICAL, coupling=((0.0,) * 3,) * 3, backlash_rad=(0.0,) * 3, delay_s=0.0)
+    truth = replace(truth, tool_length_m=0.002, joint_offset=(0.01, *truth.joint_offset[1:]))
+    described = with_errors(load_cell("bipegtransfer"), {"PSM1": truth}).arms[0]
+    m = poses(50, np.random.default_rng(0))
+    T = described.T_task_base @ forward_batch(described.arm, m.joints)
+    np.testing.assert_allclose(T[:, :3, 3], true_points(ARM, truth, m), atol=1e-12)
+    np.testing.assert_array_equal(described.arm.limit(0), ARM.arm.limit(0))
+
+
+def test_arms_that_are_not_named_stay_as_they_are() -> None:
+    cell = load_cell("bipegtransfer")
+    assert with_errors(cell, {"PSM1": TYPICAL}).arms[1] is cell.arms[1]
+
+
+def test_commands_take_the_cables_off() -> None:
+    m = poses(50, np.random.default_rng(1))
+    command = TYPICAL.reported(m.joints, m.turns)
+    there = command[:, 3:] + TYPICAL.cable_error(command, m.turns)
+    np.testing.assert_allclose(there, m.joints[:, 3:], atol=1e-7)
+    np.testing.assert_array_equal(command[:, :3], m.joints[:, :3])

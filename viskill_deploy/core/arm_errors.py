@@ -1,0 +1,122 @@
+"""What a real arm is, beside what its file says, and the cell that follows from it.
+
+Offsets of joints and the base's place change the description: kinematics, gate and simulator then
+all speak of reported joints and true poses. Play and stretch of the wrist's cables change with pose
+and direction; they are taken off the joints themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from viskill_deploy.core.description import ArmDescription, CellArm, CellDescription
+from viskill_deploy.core.robot_files import PrismaticJoint, RevoluteJoint
+from viskill_deploy.core.types import FloatArray
+
+WRIST = slice(3, 6)
+"""Joints that are driven through cables: roll, wrist pitch, wrist yaw."""
+
+TURNS = 4
+"""Rounds of taking the cables' stretch off: it is a few percent, so four leave 1e-6 of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArmErrors:
+    """What an arm is, beside what its file says.
+
+    Attributes:
+        base_rotation_rad: rotation vector of the true base in the nominal base, (3,).
+        base_translation_m: true minus nominal origin of the base, task axes, (3,).
+        joint_offset: true minus reported joints, (6,), rad and m.
+        tool_length_m: true minus nominal length of the tool's shaft.
+        point_m: how much further along the tip's z the measured point is than stated.
+        backlash_rad: half the play of the cable-driven joints, (3,): they lag behind by it.
+        coupling: stretch of the cables, (3, 3): error of a wrist joint per reported wrist angle.
+        delay_s: how much older the joints behind a measured point are than its stamp says.
+    """
+
+    base_rotation_rad: tuple[float, ...] = (0.0,) * 3
+    base_translation_m: tuple[float, ...] = (0.0,) * 3
+    joint_offset: tuple[float, ...] = (0.0,) * 6
+    tool_length_m: float = 0.0
+    point_m: float = 0.0
+    backlash_rad: tuple[float, ...] = (0.0,) * 3
+    coupling: tuple[tuple[float, ...], ...] = ((0.0,) * 3,) * 3
+    delay_s: float = 0.0
+
+    def cable_error(self, q: FloatArray, turns: FloatArray) -> FloatArray:
+        """True minus reported wrist angles, beside the offsets.
+
+        Args:
+            q: reported joints, (..., 6).
+            turns: which way the wrist's joints moved last, -1, 0 or 1, (..., 3).
+
+        Returns:
+            (..., 3) rad.
+        """
+        stretch = q[..., WRIST] @ np.array(self.coupling).T
+        return np.asarray(stretch - turns * np.array(self.backlash_rad))
+
+    def reported(self, q: FloatArray, turns: FloatArray) -> FloatArray:
+        """The joints to command so that the arm's wrist, cables and all, is at `q`.
+
+        Args:
+            q: joints of the described arm, offsets aside, (..., 6).
+            turns: as in `cable_error`.
+        """
+        command = np.array(q)
+        for _ in range(TURNS):
+            command[..., WRIST] = q[..., WRIST] - self.cable_error(command, turns)
+        return command
+
+
+def rotation(vector: tuple[float, ...]) -> FloatArray:
+    """Rotation matrix of a rotation vector, (3, 3). Source: Rodrigues' formula."""
+    v = np.array(vector)
+    angle = float(np.linalg.norm(v))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = v / angle
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K)
+
+
+def with_errors(cell: CellDescription, errors: Mapping[str, ArmErrors]) -> CellDescription:
+    """The cell as it really is: bases moved, joints shifted, shafts lengthened.
+
+    Joint positions and their limits stay the reported ones.
+
+    Args:
+        cell: as its file says.
+        errors: by arm; arms that are not named stay as they are.
+    """
+    arms = tuple(_arm(arm, errors[arm.name]) if arm.name in errors else arm for arm in cell.arms)
+    return replace(cell, arms=arms)
+
+
+def _arm(arm: CellArm, errors: ArmErrors) -> CellArm:
+    pose = np.array(arm.T_task_base)
+    pose[:3, :3] = pose[:3, :3] @ rotation(errors.base_rotation_rad)
+    pose[:3, 3] += errors.base_translation_m
+    pose.flags.writeable = False
+    return replace(arm, arm=_description(arm.arm, errors), T_task_base=pose)
+
+
+def _description(arm: ArmDescription, errors: ArmErrors) -> ArmDescription:
+    joints = [
+        _shifted(joint, offset)
+        for joint, offset in zip(arm.joints, errors.joint_offset, strict=True)
+    ]
+    roll = joints[3]
+    joints[3] = roll.model_copy(update={"d_m": roll.d_m + errors.tool_length_m})
+    return replace(arm, joints=tuple(joints))
+
+
+def _shifted(
+    joint: RevoluteJoint | PrismaticJoint, offset: float
+) -> RevoluteJoint | PrismaticJoint:
+    key = "offset_m" if joint.type == "prismatic" else "offset_rad"
+    return joint.model_copy(update={key: joint.offset + offset})
