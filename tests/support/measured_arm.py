@@ -6,6 +6,7 @@ import numpy as np
 
 from viskill_deploy.calibrate.measurements import Measurements
 from viskill_deploy.core.arm_errors import ArmErrors
+from viskill_deploy.core.cables import Cables
 from viskill_deploy.core.description import CellArm, load_cell
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.kinematics.model import forward_batch
@@ -27,8 +28,8 @@ def true_points(arm: CellArm, errors: ArmErrors, m: Measurements) -> FloatArray:
     """Where the point is, by the definitions in `ArmErrors`, (n, 3)."""
     q = m.joints + np.array(errors.joint_offset) - errors.delay_s * m.speeds
     q[:, 2] += errors.tool_length_m
-    q[:, 3:] += m.joints[:, 3:] @ np.array(errors.coupling).T
-    q[:, 3:] -= m.turns * np.array(errors.backlash_rad)
+    q[:, 3:] += m.joints[:, 3:] @ np.array(errors.cables.coupling).T
+    q[:, 3:] -= m.turns * np.array(errors.cables.backlash_rad)
     T = forward_batch(arm.arm, q)
     local = T[:, :3, 3] + (m.point_m + errors.point_m) * T[:, :3, 2]
     R = arm.T_task_base[:3, :3] @ rotation(np.array(errors.base_rotation_rad))
@@ -70,8 +71,7 @@ TYPICAL = ArmErrors(
     base_rotation_rad=(0.012, -0.017, 0.02),
     base_translation_m=(0.004, -0.006, 0.003),
     joint_offset=(0.0, 0.008, -0.0065, 0.02, -0.025, 0.0),
-    backlash_rad=(0.01, 0.015, 0.0),
-    coupling=((0.01, 0.0, 0.0), (0.0, 0.03, -0.02), (0.0, 0.0, 0.0)),
+    cables=Cables((0.01, 0.015, 0.0), ((0.01, 0.0, 0.0), (0.0, 0.03, -0.02), (0.0, 0.0, 0.0))),
     delay_s=0.018,
 )
 """As an arm that was set up by hand, without what the jaw pivot cannot show."""

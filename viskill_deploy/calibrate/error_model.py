@@ -17,7 +17,7 @@ from viskill_deploy.calibrate.parameters import (
     POINT,
     TOOL_LENGTH,
 )
-from viskill_deploy.core.arm_errors import WRIST
+from viskill_deploy.core.cables import WRIST
 from viskill_deploy.core.description import CellArm
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.kinematics.model import TIP_FRAME, build_model

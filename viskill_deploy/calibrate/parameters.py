@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from viskill_deploy.core.arm_errors import ArmErrors
+from viskill_deploy.core.cables import Cables
 from viskill_deploy.core.types import FloatArray
 
 JOINTS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
@@ -76,8 +77,7 @@ def errors_of(vector: FloatArray) -> ArmErrors:
         tuple(values[OFFSETS]),
         values[TOOL_LENGTH],
         values[POINT],
-        tuple(values[BACKLASH]),
-        tuple(tuple(row) for row in rows),
+        Cables(tuple(values[BACKLASH]), tuple(tuple(row) for row in rows)),
         values[DELAY],
     )
 
@@ -91,8 +91,8 @@ def vector_of(errors: ArmErrors) -> FloatArray:
             *errors.joint_offset,
             errors.tool_length_m,
             errors.point_m,
-            *errors.backlash_rad,
-            *(value for row in errors.coupling for value in row),
+            *errors.cables.backlash_rad,
+            *(value for row in errors.cables.coupling for value in row),
             errors.delay_s,
         ]
     )

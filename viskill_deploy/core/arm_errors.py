@@ -1,8 +1,8 @@
 """What a real arm is, beside what its file says, and the cell that follows from it.
 
 Offsets of joints and the base's place change the description: kinematics, gate and simulator then
-all speak of reported joints and true poses. Play and stretch of the wrist's cables change with pose
-and direction; they are taken off the joints themselves.
+all speak of reported joints and true poses. What the wrist's cables do (`core.cables`) changes with
+pose and direction; it is taken off the targets of the joints.
 """
 
 from __future__ import annotations
@@ -12,15 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from viskill_deploy.core.cables import STIFF, Cables
 from viskill_deploy.core.description import ArmDescription, CellArm, CellDescription
 from viskill_deploy.core.robot_files import PrismaticJoint, RevoluteJoint
 from viskill_deploy.core.types import FloatArray
-
-WRIST = slice(3, 6)
-"""Joints that are driven through cables: roll, wrist pitch, wrist yaw."""
-
-TURNS = 4
-"""Rounds of taking the cables' stretch off: it is a few percent, so four leave 1e-6 of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +28,7 @@ class ArmErrors:
         joint_offset: true minus reported joints, (6,), rad and m.
         tool_length_m: true minus nominal length of the tool's shaft.
         point_m: how much further along the tip's z the measured point is than stated.
-        backlash_rad: half the play of the cable-driven joints, (3,): they lag behind by it.
-        coupling: stretch of the cables, (3, 3): error of a wrist joint per reported wrist angle.
+        cables: play and stretch of what drives the wrist.
         delay_s: how much older the joints behind a measured point are than its stamp says.
     """
 
@@ -43,34 +37,8 @@ class ArmErrors:
     joint_offset: tuple[float, ...] = (0.0,) * 6
     tool_length_m: float = 0.0
     point_m: float = 0.0
-    backlash_rad: tuple[float, ...] = (0.0,) * 3
-    coupling: tuple[tuple[float, ...], ...] = ((0.0,) * 3,) * 3
+    cables: Cables = STIFF
     delay_s: float = 0.0
-
-    def cable_error(self, q: FloatArray, turns: FloatArray) -> FloatArray:
-        """True minus reported wrist angles, beside the offsets.
-
-        Args:
-            q: reported joints, (..., 6).
-            turns: which way the wrist's joints moved last, -1, 0 or 1, (..., 3).
-
-        Returns:
-            (..., 3) rad.
-        """
-        stretch = q[..., WRIST] @ np.array(self.coupling).T
-        return np.asarray(stretch - turns * np.array(self.backlash_rad))
-
-    def reported(self, q: FloatArray, turns: FloatArray) -> FloatArray:
-        """The joints to command so that the arm's wrist, cables and all, is at `q`.
-
-        Args:
-            q: joints of the described arm, offsets aside, (..., 6).
-            turns: as in `cable_error`.
-        """
-        command = np.array(q)
-        for _ in range(TURNS):
-            command[..., WRIST] = q[..., WRIST] - self.cable_error(command, turns)
-        return command
 
 
 def rotation(vector: tuple[float, ...]) -> FloatArray:
@@ -102,12 +70,16 @@ def _arm(arm: CellArm, errors: ArmErrors) -> CellArm:
     pose[:3, :3] = pose[:3, :3] @ rotation(errors.base_rotation_rad)
     pose[:3, 3] += errors.base_translation_m
     pose.flags.writeable = False
-    return replace(arm, arm=_description(arm.arm, errors), T_task_base=pose)
+    return replace(arm, arm=shifted(arm.arm, errors), T_task_base=pose, cables=errors.cables)
 
 
-def _description(arm: ArmDescription, errors: ArmErrors) -> ArmDescription:
+def shifted(arm: ArmDescription, errors: ArmErrors) -> ArmDescription:
+    """The description of an arm whose joints read wrong, and whose shaft is longer.
+
+    Joint positions and their limits stay the reported ones.
+    """
     joints = [
-        _shifted(joint, offset)
+        _read_wrong(joint, offset)
         for joint, offset in zip(arm.joints, errors.joint_offset, strict=True)
     ]
     roll = joints[3]
@@ -115,7 +87,7 @@ def _description(arm: ArmDescription, errors: ArmErrors) -> ArmDescription:
     return replace(arm, joints=tuple(joints))
 
 
-def _shifted(
+def _read_wrong(
     joint: RevoluteJoint | PrismaticJoint, offset: float
 ) -> RevoluteJoint | PrismaticJoint:
     key = "offset_m" if joint.type == "prismatic" else "offset_rad"

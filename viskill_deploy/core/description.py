@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from viskill_deploy.core import data
+from viskill_deploy.core.cables import STIFF, Cables
 from viskill_deploy.core.cell_files import CellArmEntry, CellFile
 from viskill_deploy.core.errors import DataFileError
 from viskill_deploy.core.robot_files import (
@@ -70,12 +71,14 @@ class CellArm:
     Attributes:
         T_task_base: pose of the arm's base (its RCM frame) in the task frame, (4, 4).
         port_in_base: registered port in the arm's base frame, (3,) m.
+        cables: of its wrist; without play and stretch unless the arm was calibrated.
     """
 
     name: str
     arm: ArmDescription
     T_task_base: FloatArray
     entry: CellArmEntry
+    cables: Cables = STIFF
 
     @property
     def port_in_base(self) -> FloatArray:

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from viskill_deploy.core.arm_errors import ArmErrors
+from viskill_deploy.core.cables import WRIST
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import ViskillError
 from viskill_deploy.core.types import PSM_JOINTS, FloatArray
@@ -44,6 +46,8 @@ class WorldOptions:
         drop_rate: part of the messages that are lost, each way.
         jitter_s: the control loop wakes late by up to this time (stepped loopback only).
         stuck: a joint that does not move, such as "PSM1/yaw"; "" for none.
+        truth: what each arm really is beside its file, for calibration to find; () for as the
+            files say.
     """
 
     period_s: float = 0.004
@@ -60,6 +64,7 @@ class WorldOptions:
     drop_rate: float = 0.0
     jitter_s: float = 0.0
     stuck: str = ""
+    truth: tuple[ArmErrors, ...] = ()
 
     def __post_init__(self) -> None:
         noises = (self.joint_noise_rad, self.joint_noise_m, self.object_noise_m)
@@ -99,7 +104,12 @@ class Imperfections:
         offset[:, INSERTION], offset[:, AXES - 1] = options.joint_offset_m, 0.0
         dice = np.random.default_rng([seed, 1])
         self._offset: FloatArray = offset * dice.normal(size=offset.shape)
-        self._is_offset = bool(self._offset.any())
+        cables = [errors.cables for errors in options.truth or (ArmErrors(),) * arms]
+        self._play: FloatArray = np.array([arm.backlash_rad for arm in cables])
+        self._stretch: FloatArray = np.array([arm.coupling for arm in cables])
+        self._is_displaced = any(x.any() for x in (self._offset, self._play, self._stretch))
+        self._wrist: FloatArray = np.zeros((arms, 3))
+        self._shift: FloatArray = np.zeros((arms, AXES))
         self._part = 1.0 - np.exp(-options.period_s / options.lag_s) if options.lag_s else 1.0
         self.seed(seed)
 
@@ -111,6 +121,7 @@ class Imperfections:
     def start(self, controls: FloatArray) -> FloatArray:
         """The arms stand still under `controls` (2 axes an arm); what they feel of it."""
         self._pending = deque([controls] * self.options.delay_periods)
+        self._wrist = _positions(controls, self._arms)[:, WRIST].copy()
         self._felt = self._displaced(controls)
         return self._felt
 
@@ -124,14 +135,16 @@ class Imperfections:
         return arrived
 
     def true_axes(self, axes: FloatArray) -> FloatArray:
-        """Where the axes really are when their encoders say `axes`, (arms, 7)."""
-        return axes - self._offset
+        """Where the axes really are when their encoders say `axes` and the wrist is centred."""
+        true = axes - self._offset
+        true[:, WRIST] += _stretched(self._stretch, axes[:, WRIST])
+        return true
 
     def measured(self, arm: int, axes: FloatArray) -> FloatArray:
         """What an arm's encoders say, given its true axes, (7,)."""
         options = self.options
-        if self._is_offset:
-            axes = axes + self._offset[arm]
+        if self._is_displaced:
+            axes = axes - self._shift[arm]
         if options.joint_noise_rad or options.joint_noise_m:
             scale = np.full(AXES, options.joint_noise_rad)
             scale[INSERTION] = options.joint_noise_m
@@ -154,11 +167,27 @@ class Imperfections:
         )
 
     def _displaced(self, controls: FloatArray) -> FloatArray:
-        if not self._is_offset:
+        """Offsets move every axis, cables the wrist: stretch turns with pose, play lags behind."""
+        if not self._is_displaced:
             return controls
+        positions = _positions(controls, self._arms)
+        told = positions[:, WRIST]
+        self._wrist = np.clip(self._wrist, told - self._play, told + self._play)
+        self._shift = -self._offset
+        self._shift[:, WRIST] += self._wrist - told + _stretched(self._stretch, told)
         moved = controls.copy()
-        moved[0::2] -= self._offset.ravel()
+        moved[0::2] += self._shift.ravel()
         return moved
+
+
+def _positions(controls: FloatArray, arms: int) -> FloatArray:
+    """The positions in a control vector, (arms, 7)."""
+    return controls[0::2].reshape(arms, AXES)
+
+
+def _stretched(stretch: FloatArray, wrist: FloatArray) -> FloatArray:
+    """What the cables add to wrist angles (arms, 3)."""
+    return np.asarray(np.einsum("aij,aj->ai", stretch, wrist))
 
 
 def displace_bases(

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from viskill_deploy.core.arm_errors import with_errors
 from viskill_deploy.core.description import CellArm, CellDescription
 from viskill_deploy.core.types import ActiveObject, FloatArray, JointSetpoint, ObjectPose, Scene
 from viskill_deploy.motion.resolve import resolve
@@ -87,8 +88,13 @@ class World:
     ) -> None:
         self.cell, self.options = cell, options or WorldOptions()
         self.substeps: int = math.ceil(self.options.period_s / LONGEST_STEP_S - 1e-9)
+        names = [arm.name for arm in cell.arms]
+        truth = self.options.truth
+        if len(truth) not in {0, len(names)}:
+            raise ValueError(f"the truth is about {len(truth)} arms; this cell has {len(names)}")
+        really = with_errors(cell, dict(zip(names, truth, strict=False)))
         self.model = build_model(
-            cell, self.options.period_s / self.substeps, self.options.joint_friction, only
+            really, self.options.period_s / self.substeps, self.options.joint_friction, only
         )
         displace_bases(self.model, cell, self.options, seed)
         self.data = mujoco.MjData(self.model)

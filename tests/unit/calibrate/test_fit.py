@@ -12,6 +12,7 @@ from viskill_deploy.calibrate.fit import ArmFit, fit_arm
 from viskill_deploy.calibrate.measurements import Measurements
 from viskill_deploy.calibrate.parameters import NAMES, USUAL, errors_of, vector_of
 from viskill_deploy.core.arm_errors import ArmErrors, with_errors
+from viskill_deploy.core.cables import STIFF
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import CalibrationError
 from viskill_deploy.kinematics.model import forward_batch
@@ -195,7 +196,7 @@ def test_points_in_one_plane_freeze_what_they_hide() -> None:
 
 
 def test_the_calibrated_cell_says_where_the_tip_is() -> None:
-    truth = replace(TYPICAL, coupling=((0.0,) * 3,) * 3, backlash_rad=(0.0,) * 3, delay_s=0.0)
+    truth = replace(TYPICAL, cables=STIFF, delay_s=0.0)
     truth = replace(truth, tool_length_m=0.002, joint_offset=(0.01, *truth.joint_offset[1:]))
     described = with_errors(load_cell("bipegtransfer"), {"PSM1": truth}).arms[0]
     m = poses(50, np.random.default_rng(0))
@@ -211,7 +212,7 @@ def test_arms_that_are_not_named_stay_as_they_are() -> None:
 
 def test_commands_take_the_cables_off() -> None:
     m = poses(50, np.random.default_rng(1))
-    command = TYPICAL.reported(m.joints, m.turns)
-    there = command[:, 3:] + TYPICAL.cable_error(command, m.turns)
+    command = TYPICAL.cables.reported(m.joints, m.turns)
+    there = command[:, 3:] + TYPICAL.cables.error(command, m.turns)
     np.testing.assert_allclose(there, m.joints[:, 3:], atol=1e-7)
     np.testing.assert_array_equal(command[:, :3], m.joints[:, :3])

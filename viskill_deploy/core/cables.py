@@ -1,0 +1,54 @@
+"""Play and stretch of the cables that drive a wrist: they change with pose and direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from viskill_deploy.core.types import FloatArray
+
+WRIST = slice(3, 6)
+"""Joints that are driven through cables: roll, wrist pitch, wrist yaw."""
+
+ROUNDS = 4
+"""Rounds of taking the stretch off: it is a few percent, so four leave 1e-6 of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cables:
+    """The cables of one arm's wrist.
+
+    Attributes:
+        backlash_rad: half the play of each joint, (3,): it lags behind by that.
+        coupling: stretch, (3, 3): error of a wrist joint per reported wrist angle.
+    """
+
+    backlash_rad: tuple[float, ...] = (0.0,) * 3
+    coupling: tuple[tuple[float, ...], ...] = ((0.0,) * 3,) * 3
+
+    def error(self, q: FloatArray, turns: FloatArray) -> FloatArray:
+        """True minus reported wrist angles, (..., 3) rad.
+
+        Args:
+            q: reported joints, (..., 6).
+            turns: which way the wrist's joints moved last, -1, 0 or 1, (..., 3).
+        """
+        stretch = q[..., WRIST] @ np.array(self.coupling).T
+        return np.asarray(stretch - turns * np.array(self.backlash_rad))
+
+    def reported(self, q: FloatArray, turns: FloatArray) -> FloatArray:
+        """The joints to command so that the wrist, cables and all, is at `q`, (..., 6).
+
+        Args:
+            q: where the joints shall be, (..., 6).
+            turns: as in `error`.
+        """
+        command = np.array(q)
+        for _ in range(ROUNDS):
+            command[..., WRIST] = q[..., WRIST] - self.error(command, turns)
+        return command
+
+
+STIFF = Cables()
+"""Cables without play and stretch, as the arms' files have them."""
