@@ -9,7 +9,8 @@ import pytest
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import DriverError
 from viskill_deploy.drivers.base import DISABLED, ENABLED
-from viskill_deploy.drivers.loopback_served import ServedLoopback, StopHandle
+from viskill_deploy.drivers.loopback_served import ServedLoopback
+from viskill_deploy.drivers.loopback_stop import StopHandle
 from viskill_deploy.sim.world import WorldOptions
 
 CELL = load_cell("bipegtransfer")

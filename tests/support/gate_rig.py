@@ -50,6 +50,8 @@ class Rig:
         self.gate = Supervisor(self.cell, period)
         self.now, self.ticks = 1.0, 0
         self.consent, self.estop = False, False
+        self.watchdog_s: float | None = None  # None: it looks in every cycle
+        self.watchdog_stepped_in = False
         self.held = tuple(JointSetpoint(home(a), (0.0,) * 6, 0.3, 0.0) for a in self.cell.arms)
         self.before = self.older = self.held
         self.broken: dict[int, dict[str, Any]] = {}
@@ -76,7 +78,11 @@ class Rig:
                 tool=cell_arm.arm.tool,
             )
             arms.append(replace(arm, **self.broken.get(index, {})))
-        return CellState(tuple(arms), Inputs(self.consent, self.now, "simulated", self.estop))
+        watch = self.now if self.watchdog_s is None else self.watchdog_s
+        inputs = Inputs(
+            self.consent, self.now, "simulated", self.estop, watch, self.watchdog_stepped_in
+        )
+        return CellState(tuple(arms), inputs)
 
     def arm(self) -> tuple[Verdict, ...]:
         """From OFF to ARMED as an operator would do it."""

@@ -7,10 +7,13 @@ import gc
 import os
 
 PRIORITY = 50
+WATCHDOG_PRIORITY = 60
+"""Above what it watches: a control loop that never sleeps must not keep it from looking."""
+
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 
 
-def prepare() -> list[str]:
+def prepare(priority: int = PRIORITY) -> list[str]:
     """Freezes the garbage collector, asks for SCHED_FIFO and locked memory.
 
     Returns:
@@ -21,7 +24,7 @@ def prepare() -> list[str]:
     gc.disable()
     notes = []
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except (AttributeError, OSError) as error:
         notes.append(
             f"no real-time scheduling ({error}): other programs may delay the control loop; "

@@ -81,12 +81,16 @@ class Inputs:
         consent_stamp_s: driver's clock of the newest word on it.
         consent_source: "simulated" on the loopback; never accepted by a real run.
         estop: an emergency stop is pressed or its line is lost.
+        watchdog_stamp_s: driver's clock at which the watchdog last looked. Bad until shown good.
+        watchdog_stepped_in: it has held the arms, because the runtime was not heard of.
     """
 
     consent: bool
     consent_stamp_s: float
     consent_source: str
     estop: bool
+    watchdog_stamp_s: float = -math.inf
+    watchdog_stepped_in: bool = False
 
 
 @dataclass(frozen=True, slots=True)

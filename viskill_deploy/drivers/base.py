@@ -13,10 +13,11 @@ from typing import Protocol
 
 from viskill_deploy.core.clock import Clock
 from viskill_deploy.core.types import ActiveObject, CellState, Scene
+from viskill_deploy.drivers.watch import Watch
 from viskill_deploy.safety.checked import CheckedSetpoint
 
-DISABLED, ENABLED = "DISABLED", "ENABLED"
-"""CRTK operating states; PAUSED and FAULT are the others."""
+DISABLED, ENABLED, PAUSED = "DISABLED", "ENABLED", "PAUSED"
+"""CRTK operating states; FAULT is the other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,11 @@ class Driver(Protocol):
     clock: Clock
     period_s: float
     capabilities: Capabilities
+
+    @property
+    def watch(self) -> Watch:
+        """The watchdog that `connect` has started. No driver works without one."""
+        ...
 
     def connect(self) -> None:
         """Opens the connection; arms stay DISABLED."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from viskill_deploy.core.clock import Clock, SteppedClock
 from viskill_deploy.core.description import CellDescription
@@ -10,6 +11,7 @@ from viskill_deploy.core.errors import DriverError
 from viskill_deploy.core.types import ActiveObject, CellState, JointSetpoint, Scene
 from viskill_deploy.drivers.base import Capabilities, Driver
 from viskill_deploy.drivers.loopback_cell import LoopbackCell
+from viskill_deploy.drivers.watch import OwnTime, Watch
 from viskill_deploy.safety.checked import CheckedSetpoint
 from viskill_deploy.sim.world import World, WorldOptions
 
@@ -72,6 +74,7 @@ class LoopbackDriver:
         self.period_s = self.world.options.period_s
         self._time = _WorldClock(self)
         self.clock: Clock = self._time
+        self.watch: Watch = OwnTime()
         self._cell: LoopbackCell | None = None
 
     @property
@@ -113,7 +116,8 @@ class LoopbackDriver:
 
     def state(self) -> CellState:
         """The newest measurement."""
-        return self.cell.state(self._time.world_s)
+        state = self.cell.state(self._time.world_s)
+        return replace(state, inputs=self.watch.told(state.inputs, self.clock.now()))
 
     def servo_jp(self, setpoints: Sequence[CheckedSetpoint]) -> None:
         """Sends one checked setpoint an arm."""

@@ -14,7 +14,7 @@ from viskill_deploy.core.types import (
     JointSetpoint,
     Scene,
 )
-from viskill_deploy.drivers.base import DISABLED, ENABLED
+from viskill_deploy.drivers.base import DISABLED, ENABLED, PAUSED
 from viskill_deploy.sim.world import World
 
 REST: Joints = (0.0,) * 6
@@ -66,6 +66,12 @@ class LoopbackCell:
     def hold(self) -> None:
         """Stays at the setpoint, at rest."""
         self._setpoints = [JointSetpoint(s.jp, REST, s.jaw, 0.0) for s in self._setpoints]
+
+    def pause(self) -> None:
+        """Holds, and takes no setpoint until the arms are enabled again: ENABLED → PAUSED."""
+        self.hold()
+        if self._state == ENABLED:
+            self._state = PAUSED
 
     def disable(self) -> None:
         """Takes power away; the arms keep their joints where the brakes catch them."""

@@ -1,15 +1,14 @@
-"""Client side of the served loopback: the driver, and a second handle that may only stop."""
+"""Client side of the served loopback: the driver, which brings server and watchdog along."""
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
-import socket
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from viskill_deploy.core.clock import Clock, MonotonicClock
@@ -18,6 +17,7 @@ from viskill_deploy.core.errors import DriverError
 from viskill_deploy.core.types import ActiveObject, CellState, Scene
 from viskill_deploy.drivers.base import Capabilities, Driver
 from viskill_deploy.drivers.loopback import accepted
+from viskill_deploy.drivers.loopback_stop import connected
 from viskill_deploy.drivers.loopback_wire import (
     LineSocket,
     Message,
@@ -27,39 +27,12 @@ from viskill_deploy.drivers.loopback_wire import (
     unpack_scene,
     unpack_state,
 )
+from viskill_deploy.drivers.watch import WatchProcess
 from viskill_deploy.safety.checked import CheckedSetpoint
 from viskill_deploy.sim.world import WorldOptions
 
-START_TIMEOUT_S = 20.0
 ANSWER_TIMEOUT_S = 5.0
 POLL_S = 0.0005
-
-
-class StopHandle:
-    """A second connection to a served loopback: it may hold and disable, nothing else."""
-
-    def __init__(self, path: Path) -> None:
-        self._line = LineSocket(_connected(path, MonotonicClock()))
-
-    def hold(self) -> None:
-        """Every arm stays where it is."""
-        self._line.send({"do": "hold"})
-
-    def disable(self) -> None:
-        """Takes power from every arm."""
-        self._line.send({"do": "disable"})
-
-    def send(self, message: Message) -> None:
-        """Sends any request; the server refuses all but the two above."""
-        self._line.send(message)
-
-    def answers(self) -> list[Message]:
-        """What the server has said to this handle."""
-        return self._line.receive()
-
-    def close(self) -> None:
-        """Lets go."""
-        self._line.close()
 
 
 class ServedLoopback:
@@ -72,6 +45,7 @@ class ServedLoopback:
 
     Attributes:
         path: the server's socket, for a `StopHandle`.
+        process: the server.
     """
 
     capabilities = Capabilities(simulated=True, stepped=False, resettable=True, sees_scene=True)
@@ -86,29 +60,39 @@ class ServedLoopback:
         self.path = Path(self._folder.name) / "loopback.sock"
         self.process: subprocess.Popen[bytes] | None = None
         self._line: LineSocket | None = None
+        self._watch: WatchProcess | None = None
         self._state: Message = {}  # the newest of each, read when somebody asks
         self._scene: Message = {}
         self._requests = 0
         self._answers: dict[int, Message] = {}
 
     def connect(self) -> None:
-        """Starts the server and waits for its first word.
+        """Starts the server and its watchdog, and waits for the first word of each.
 
         Raises:
-            DriverError: it did not come up in time.
+            DriverError: one of them did not come up in time.
         """
         command = [sys.executable, "-m", "viskill_deploy.drivers.loopback_server"]
         command += ["--cell", self._cell.name, "--socket", str(self.path)]
         command += ["--seed", str(self._seed)]
-        command += ["--options", json.dumps(dataclasses.asdict(self._options))]
+        command += ["--options", json.dumps(asdict(self._options))]
         # a session of its own: Ctrl-C in the terminal is for the runtime, which needs the robot
         self.process = subprocess.Popen(command, start_new_session=True)
         try:
-            self._line = LineSocket(_connected(self.path, self.clock))
+            self._line = LineSocket(connected(self.path, self.clock))
             self._wait(lambda: bool(self._state), "first state")
+            module = "viskill_deploy.drivers.loopback_watchdog"
+            self._watch = WatchProcess(module, [str(self.path)])
         except DriverError:
             self.close()
             raise
+
+    @property
+    def watch(self) -> WatchProcess:
+        """The watchdog; there is no connection without one."""
+        if self._watch is None:
+            raise DriverError("the loopback is not connected; call connect() first")
+        return self._watch
 
     def enable(self) -> None:
         """Every arm ENABLED."""
@@ -133,6 +117,9 @@ class ServedLoopback:
                 self._line.send({"do": "stop"})
             self._line.close()
             self._line = None
+        if self._watch is not None:
+            self._watch.close()
+            self._watch = None
         if self.process is not None:
             try:
                 self.process.wait(timeout=ANSWER_TIMEOUT_S)
@@ -149,7 +136,8 @@ class ServedLoopback:
     def state(self) -> CellState:
         """The newest measurement that has arrived."""
         self._drain()
-        return unpack_state(self._state)
+        state = unpack_state(self._state)
+        return replace(state, inputs=self.watch.told(state.inputs, self.clock.now()))
 
     def servo_jp(self, setpoints: Sequence[CheckedSetpoint]) -> None:
         """Sends one checked setpoint an arm."""
@@ -181,6 +169,7 @@ class ServedLoopback:
         return self._line
 
     def _drain(self) -> None:
+        refusal = ""
         for message in self._connected_line().receive():
             if "state" in message:
                 self._state = message["state"]
@@ -189,7 +178,9 @@ class ServedLoopback:
             if message.get("id") is not None:
                 self._answers[message["id"]] = message
             elif "error" in message:
-                raise DriverError(f"the loopback refused: {message['error']}")
+                refusal = str(message["error"])
+        if refusal:
+            raise DriverError(f"the loopback refused: {refusal}")
 
     def _ask(self, request: Message) -> Message:
         self._requests += 1
@@ -217,18 +208,3 @@ def connect(cell: CellDescription, options: WorldOptions | None = None, seed: in
     driver = ServedLoopback(cell, options, seed)
     driver.connect()
     return driver
-
-
-def _connected(path: Path, clock: Clock) -> socket.socket:
-    deadline = clock.now() + START_TIMEOUT_S
-    while True:
-        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            connection.connect(str(path))
-        except OSError as error:
-            connection.close()
-            if clock.now() > deadline:
-                raise DriverError(f"no loopback at {path} ({error}); start it first") from error
-            clock.sleep_until(clock.now() + 0.02)
-        else:
-            return connection

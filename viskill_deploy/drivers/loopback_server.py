@@ -1,7 +1,9 @@
 """The loopback as a process of its own, in real time, behind a local socket.
 
-The first client controls. Every further one may only `hold` and `disable`: it is what a watchdog
-or a stop button holds on to. When the controlling client goes, the arms hold, as a dVRK's do.
+The first client controls. Every further one may only look, `hold` and `disable`: it is what a
+watchdog or a stop button holds on to, and its hold lasts until the arms are enabled again. When
+the controlling client goes, its last setpoint is held for ever, as on a dVRK; nobody else takes
+its place, and the server ends with its last client.
 """
 
 from __future__ import annotations
@@ -29,9 +31,10 @@ from viskill_deploy.drivers.loopback_wire import (
 from viskill_deploy.sim.world import World, WorldOptions
 
 LONELY_S = 30.0
-"""A server that nobody has connected to ends after this time."""
+"""A server that nobody controls ends after this time."""
 
-WATCH_MAY = {"hold", "disable"}
+STOPS = {"hold": LoopbackCell.pause, "disable": LoopbackCell.disable}
+"""What a client that does not control may do."""
 
 
 class LoopbackServer:
@@ -43,20 +46,23 @@ class LoopbackServer:
         self._waiting = selectors.DefaultSelector()
         listener.setblocking(False)
         self._waiting.register(listener, selectors.EVENT_READ)
+        self._controller: LineSocket | None = None
         self._stopped = self._had_client = False
+        self._alone_since = self.clock.now()
+        self._stopped_s: dict[str, float] = {}  # when a client that only watches first did what
 
     def run(self) -> None:
-        """Serves until the controlling client has come and gone, or asked to stop."""
+        """Serves until all clients have come and gone, or the controlling one asked to stop."""
         period = self.cell.world.options.period_s
-        deadline = started = self.clock.now()
+        deadline = self.clock.now()
         while not self._stopped:
             deadline = max(deadline + period, self.clock.now())  # late once, not for ever
             self._serve_until(deadline)
-            if not self._had_client and deadline - started > LONELY_S:
+            if self._controller is None and deadline - self._alone_since > LONELY_S:
                 return
             self.cell.advance()
-            if self._clients:
-                self._publish()
+            if self._controller is not None:
+                self._publish(self._controller)
 
     def _serve_until(self, deadline: float) -> None:
         """Clients are heard in every period, also in one that has no time left."""
@@ -74,7 +80,8 @@ class LoopbackServer:
         connection, _ = self._listener.accept()
         client = LineSocket(connection)
         self._clients.append(client)
-        self._had_client = True
+        if not self._had_client:
+            self._controller, self._had_client = client, True
         self._waiting.register(client, selectors.EVENT_READ, client)
 
     def _read(self, client: LineSocket) -> None:
@@ -86,22 +93,19 @@ class LoopbackServer:
 
     def _drop(self, client: LineSocket) -> None:
         self._waiting.unregister(client)
-        controlled = self._clients[0] is client
         self._clients.remove(client)
         client.close()
-        if controlled:
-            self.cell.hold()
-            self._stopped = True
+        if client is self._controller:
+            self._controller, self._alone_since = None, self.clock.now()
+        self._stopped = self._stopped or not self._clients
 
     def _answer(self, client: LineSocket, message: Message) -> None:
         verb = str(message.get("do"))
-        if client is not self._clients[0] and verb not in WATCH_MAY:
-            client.offer(
-                {"error": f"this handle may only {sorted(WATCH_MAY)}, not {verb}"}, must_arrive=True
-            )
-            return
         try:
-            self._do(verb, message)
+            if client is self._controller:
+                self._do(verb, message)
+            else:
+                self._stop(client, verb)
         except (ViskillError, KeyError, TypeError, ValueError) as error:
             client.offer({"error": f"{verb}: {error}", "id": message.get("id")}, must_arrive=True)
             return
@@ -132,14 +136,25 @@ class LoopbackServer:
             case _:
                 raise DriverError(f"unknown request {verb!r}")
 
-    def _publish(self) -> None:
+    def _stop(self, client: LineSocket, verb: str) -> None:
+        """What a client that does not control may ask for."""
+        now = self.clock.now()
+        if verb == "state":
+            client.offer({"state": pack_state(self.cell.state(now)), "stopped_s": self._stopped_s})
+        elif verb in STOPS:
+            STOPS[verb](self.cell)
+            self._stopped_s.setdefault(verb, now)
+        else:
+            raise DriverError(f"this handle may only look, {' and '.join(STOPS)}")
+
+    def _publish(self, client: LineSocket) -> None:
         now = self.clock.now()
         state, scene = self.cell.state(now), self.cell.scene(now)
         message = {"state": pack_state(state), "scene": pack_scene(scene)}
         try:
-            self._clients[0].offer(message)
+            client.offer(message)
         except DriverError:
-            self._drop(self._clients[0])
+            self._drop(client)
 
 
 def main() -> None:

@@ -143,7 +143,9 @@ def _ideal(
 ) -> CellState:
     """What arms that follow perfectly would report."""
     arms = tuple(_follows(arm, s, now) for arm, s in zip(state.arms, setpoints, strict=True))
-    inputs = replace(state.inputs, consent=consent, consent_stamp_s=now, estop=False)
+    inputs = replace(
+        state.inputs, consent=consent, consent_stamp_s=now, estop=False, watchdog_stamp_s=now
+    )
     return CellState(arms, inputs)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -219,6 +220,7 @@ class Session:
         decision = self.gate.check(state, request, now)
         sent = tuple(checked.setpoint for checked in decision.setpoints)
         self._send(decision, now)
+        self.driver.watch.beat(self.driver.clock.now())
         self._note(decision)
         if self.is_stop_wanted and not self._is_stopping:
             self.line.fail("the operator ended the run")
@@ -244,6 +246,7 @@ class Session:
 
     def _stand_easy(self) -> None:
         self._is_moving = False
+        self.driver.watch.release()
         if not self.driver.capabilities.stepped:
             realtime.release()
 
@@ -252,7 +255,9 @@ class Session:
         try:
             self._state = self.driver.state()
         except DriverError:
-            self.gate.report_fault("S24", self.driver.clock.now())
+            now, old = self.driver.clock.now(), self._state
+            self.gate.report_fault("S24", now)
+            self._state = replace(old, inputs=self.driver.watch.told(old.inputs, now))
         return self._state
 
     def _request(self, now: float, state: CellState) -> Request:
@@ -280,7 +285,9 @@ class Session:
         """Remembers what the gate first stepped in for, and whether its stop is over."""
         self._at_rest, self._is_stopping = decision.at_rest, not decision.passed
         if not self.cause:
-            self.cause = next((v.rule for v in decision.verdicts if v.action >= Action.HOLD), "")
+            severest = max(decision.verdicts, key=lambda v: v.action, default=None)
+            if severest is not None and severest.action >= Action.HOLD:
+                self.cause = severest.rule
 
     def tips(self, state: CellState) -> list[FloatArray]:
         """Measured T_task_tip of every arm."""
