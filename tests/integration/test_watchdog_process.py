@@ -19,9 +19,9 @@ HELD_WITHIN_S = 0.1
 
 
 def assert_held_in_time(run: RuntimeToKill, since: float) -> None:
-    """The arm was held after the threshold, within 100 ms where the system permits promptness."""
+    """The arms were held within 100 ms where the system permits promptness, disabled later."""
     late = run.stopped_s["hold"] - since
-    assert late > LOST_S - 3 * PERIOD_S
+    assert late > 0.0
     if not realtime.refusals():
         assert late <= HELD_WITHIN_S
     assert run.stopped_s["disable"] - run.stopped_s["hold"] >= DISABLE_S - LOST_S - 1e-3
@@ -71,6 +71,7 @@ def test_s25_a_runtime_that_was_stopped_for_a_second_finds_its_arms_held_and_mov
         stopped = run.kill(what=signal.SIGSTOP)
         run.look_until("disable")
         assert_held_in_time(run, stopped)
+        assert run.stopped_s["hold"] - stopped > LOST_S - 3 * PERIOD_S
         held = run.look()
         time.sleep(max(0.0, stopped + 1.0 - time.monotonic()))
         run.kill(what=signal.SIGCONT)
