@@ -22,6 +22,7 @@ from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import BundleError
 from viskill_deploy.core.robot_files import Positive, Table
 from viskill_deploy.core.sealed import read_sealed, sealed
+from viskill_deploy.core.types import ObservationRange
 from viskill_deploy.motion.waypoints import PITCH_UNIT_RAD, ActionSpec
 
 MANIFEST = "manifest.json"
@@ -124,6 +125,11 @@ class TrainingRange(Table):
 
     lower: tuple[float, ...]
     upper: tuple[float, ...]
+
+    @property
+    def seen(self) -> ObservationRange:
+        """The same for the gate (S29)."""
+        return ObservationRange(self.lower, self.upper)
 
 
 class Measured(Table):

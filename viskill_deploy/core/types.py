@@ -119,6 +119,14 @@ class JointSetpoint:
 
 
 @dataclass(frozen=True, slots=True)
+class ObservationRange:
+    """Smallest and largest value of every entry of a policy's observation in its training."""
+
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Request:
     """What the line asks the gate for in one cycle.
 
@@ -129,6 +137,7 @@ class Request:
             ends at rest by itself.
         may_open_jaw: per arm, whether the running skill may open the jaw while it holds something.
         holding: per arm, whether the line believes that the jaw holds something.
+        observation: what the policy saw when it asked for this; empty where no policy is asked.
     """
 
     setpoints: tuple[JointSetpoint, ...] | None
@@ -136,6 +145,7 @@ class Request:
     waypoint_due_s: float = math.inf
     may_open_jaw: tuple[bool, ...] = ()
     holding: tuple[bool, ...] = ()
+    observation: tuple[float, ...] = ()
 
 
 class Action(enum.IntEnum):
@@ -274,6 +284,7 @@ class Waypoint:
         step_s: the time that the policy means it to take, s.
         skill: name of the skill that asked for it.
         may_open_jaw: whether that skill may open a jaw that holds something, per arm.
+        observation: what the policy saw when it asked for this; empty where no policy did.
     """
 
     T_task_tip: tuple[FloatArray, ...]
@@ -281,6 +292,7 @@ class Waypoint:
     step_s: float
     skill: str = ""
     may_open_jaw: tuple[bool, ...] = ()
+    observation: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         poses = tuple(frozen_array(T, (4, 4), "T_task_tip") for T in self.T_task_tip)

@@ -111,6 +111,7 @@ def densified(waypoints: Sequence[Waypoint]) -> list[Waypoint]:
                     goal.step_s,
                     goal.skill,
                     goal.may_open_jaw,
+                    goal.observation,
                 )
             )
     return dense

@@ -91,7 +91,9 @@ def dry_run(
     connect = loopback_served.connect if options.real_time else loopback.connect
     driver = connect(prepared.cell, options.world, options.seed)
     line = Line(prepared.cell, driver.period_s, options.ik_solver, options.speed)
-    with Session(prepared.cell, driver, line, recorder) as session, interruptible(session):
+    training = prepared.bundle.manifest.training_range.seen
+    session = Session(prepared.cell, driver, line, recorder, training)
+    with session, interruptible(session):
         if options.real_time:
             notes += realtime.refusals()
         for note in notes:

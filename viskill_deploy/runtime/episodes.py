@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -83,7 +83,7 @@ class _Step:
 def _next_step(job: Job, chain: SkillChain, seen: _Seen, last: Waypoint) -> _Step:
     """Asks the policy and works out the waypoint that it wants; touches nothing of the session."""
     choice = chain.act(seen.observation, seen.scene)
-    waypoint = apply_action(
+    wanted = apply_action(
         last,
         choice.action,
         seen.tips,
@@ -92,6 +92,7 @@ def _next_step(job: Job, chain: SkillChain, seen: _Seen, last: Waypoint) -> _Ste
         choice.skill,
         choice.may_open_jaw,
     )
+    waypoint = replace(wanted, observation=tuple(seen.observation.tolist()))
     return _Step(choice, waypoint, chain.finished)
 
 

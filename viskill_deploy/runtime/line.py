@@ -188,8 +188,8 @@ class Line:
         reference = self.sample()
         if self._motion is not None and not self._ends_at_rest:
             due = now + (self._motion.duration_s - self._phase) / self.rate
-        may_open = waypoint.may_open_jaw if waypoint else ()
-        return self.resolved(reference, due, may_open, holding)
+        may_open, seen = (waypoint.may_open_jaw, waypoint.observation) if waypoint else ((), ())
+        return self.resolved(reference, due, may_open, holding, seen)
 
     def resolved(
         self,
@@ -197,6 +197,7 @@ class Line:
         due: float = math.inf,
         may_open: tuple[bool, ...] = (),
         holding: tuple[bool, ...] = (),
+        observation: tuple[float, ...] = (),
     ) -> Request:
         """The request for smoothed states of all arms: each goes once more through its QP."""
         try:
@@ -204,7 +205,7 @@ class Line:
         except KinematicsError as error:
             return Request(None, failure=str(error))
         self._commanded, self._reference = commanded, reference
-        return Request(self.setpoints, "", due, may_open, holding)
+        return Request(self.setpoints, "", due, may_open, holding, observation)
 
     def place(self, reference: tuple[AxisMotion, ...]) -> None:
         """Takes a moving state of all arms for what was commanded last."""

@@ -19,6 +19,7 @@ from viskill_deploy.core.types import (
     CellState,
     FloatArray,
     JointSetpoint,
+    ObservationRange,
     Scene,
     SkillStart,
     Waypoint,
@@ -40,11 +41,13 @@ class Plan:
         waypoints: where it leads, the first where the arms are.
         motion: the same in joints, smoothed.
         starts: what was decided at each skill's first step.
+        training: what the policy has seen in training; None where no policy was asked.
     """
 
     waypoints: tuple[Waypoint, ...]
     motion: JointPlan
     starts: Mapping[str, SkillStart]
+    training: ObservationRange | None = None
 
     def first_of(self, skill: str) -> int:
         """Index of a skill's first waypoint."""
@@ -57,17 +60,21 @@ class Plan:
 
     def check(
         self, cell: CellDescription, period_s: float, state: CellState, ik_solver: str = "daqp"
-    ) -> None:
+    ) -> dict[str, float]:
         """Puts every setpoint of the plan before a gate that lets nothing out.
 
         What is judged is what will be streamed: each sample goes through the QP of its tick. The
         arms of this rehearsal follow perfectly, and every jaw is taken for one that holds a thing.
 
+        Returns:
+            The smallest margin to every rule, by id: 1.0 far away, 0.0 at the threshold.
+
         Raises:
             SafetyStop: the gate would step in or ask for less speed; names rule, time and arm.
                 Nothing has moved.
         """
-        gate, line, now = Rehearsal(cell, period_s), Line(cell, period_s, ik_solver), 1.0
+        gate, now = Rehearsal(cell, period_s, self.training), 1.0
+        line = Line(cell, period_s, ik_solver)
         line.start(state)
         start = _ideal(state, line.setpoints, now, consent=False)
         agreed = replace(start, inputs=replace(start.inputs, consent=True))
@@ -87,6 +94,7 @@ class Plan:
                 f"the plan is refused at {line.phase:.2f} s: {against[0].rule} on {arm} "
                 f"({against[0].value:.4g}, limit {against[0].limit:.4g}); nothing has moved"
             )
+        return gate.margins
 
 
 def make_plan(
@@ -125,8 +133,9 @@ def make_plan(
     while not chain.finished:
         choice = chain.act(observation, loop.world.scene())
         starts[choice.skill] = choice.start
+        seen = tuple(observation.tolist())
         observation = loop.step(choice.action, skills[choice.skill])
-        waypoints.append(loop.waypoint)
+        waypoints.append(replace(loop.waypoint, observation=seen))
     dense = densified(waypoints)
     q = resolve(cell, dense[1:], held.tolist())
     motion = smooth(cell, q, cell.file.motion.step_s, speed)
@@ -135,7 +144,7 @@ def make_plan(
             "the plan does not do the task in the simulator and was not streamed; look at the "
             "scene, or run the policy closed loop"
         )
-    return Plan(tuple(dense), motion, starts)
+    return Plan(tuple(dense), motion, starts, bundle.manifest.training_range.seen)
 
 
 def _ideal(

@@ -18,6 +18,7 @@ from viskill_deploy.core.types import (
     Inputs,
     JointSetpoint,
     Mode,
+    ObservationRange,
     Request,
     Scene,
     SkillStart,
@@ -97,6 +98,7 @@ class Session:
         driver: a connected driver.
         line: from waypoints to requests.
         recorder: where the run is recorded.
+        training: what the policy has seen in training; None where no policy is asked.
 
     Attributes:
         cause: id of the rule for which the gate first stepped in since `begin`; "" if it did not.
@@ -104,10 +106,15 @@ class Session:
     """
 
     def __init__(
-        self, cell: CellDescription, driver: Driver, line: Line, recorder: Recorder
+        self,
+        cell: CellDescription,
+        driver: Driver,
+        line: Line,
+        recorder: Recorder,
+        training: ObservationRange | None = None,
     ) -> None:
         self.cell, self.driver, self.line, self.recorder = cell, driver, line, recorder
-        self.gate = Supervisor(cell, driver.period_s)
+        self.gate = Supervisor(cell, driver.period_s, training)
         self.ledger = Ledger(cell, driver.period_s, self.gate.rules)
         self._links = CellLinks(cell)
         self._scene_due_s = 0.0

@@ -10,7 +10,7 @@ import numpy as np
 
 from viskill_deploy.core.description import ArmDescription, CellArm, CellDescription
 from viskill_deploy.core.errors import DataFileError
-from viskill_deploy.core.types import Joints
+from viskill_deploy.core.types import Joints, ObservationRange
 from viskill_deploy.safety import ceilings
 from viskill_deploy.safety.geometry import Chain, Point
 
@@ -59,6 +59,7 @@ class CellEnvelope:
         tip_speed: speed of a control point in a run, m/s.
         tip_speed_ceiling: speed at which the run ends, m/s.
         floor: lowest height of a jaw end, task frame, m.
+        training: what the policy has seen in training; None where no policy is asked.
     """
 
     arms: tuple[ArmEnvelope, ...]
@@ -66,9 +67,12 @@ class CellEnvelope:
     tip_speed: float
     tip_speed_ceiling: float
     floor: float
+    training: ObservationRange | None = None
 
     @classmethod
-    def of(cls, cell: CellDescription, period_s: float) -> CellEnvelope:
+    def of(
+        cls, cell: CellDescription, period_s: float, training: ObservationRange | None = None
+    ) -> CellEnvelope:
         """The thresholds of `cell`, each checked for sense and against its ceiling.
 
         Raises:
@@ -95,6 +99,7 @@ class CellEnvelope:
             tip_speed=float(motion.tip_speed_m_s),
             tip_speed_ceiling=float(motion.tip_speed_ceiling_m_s),
             floor=float(motion.floor_m),
+            training=training,
         )
 
 

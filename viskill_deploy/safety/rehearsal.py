@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.types import CellState, Request, Verdict
+from viskill_deploy.core.types import CellState, ObservationRange, Request, Verdict
 from viskill_deploy.safety.supervisor import Supervisor
 
 
@@ -13,10 +13,17 @@ class Rehearsal:
     Args:
         cell: the cell.
         period_s: time between two requests, s.
+        training: what the policy has seen in training.
+
+    Attributes:
+        margins: smallest margin to every rule so far, by id; 1.0 where it was far or not asked.
     """
 
-    def __init__(self, cell: CellDescription, period_s: float) -> None:
-        self._gate = Supervisor(cell, period_s)
+    def __init__(
+        self, cell: CellDescription, period_s: float, training: ObservationRange | None = None
+    ) -> None:
+        self._gate = Supervisor(cell, period_s, training)
+        self.margins = dict.fromkeys(self._gate.rules, 1.0)
 
     def begin(self, refused: CellState, agreed: CellState, now: float) -> tuple[Verdict, ...]:
         """Why the gate would not arm; empty when it would.
@@ -31,4 +38,8 @@ class Rehearsal:
 
     def judge(self, state: CellState, request: Request, now: float) -> tuple[Verdict, ...]:
         """What the gate would say of one cycle."""
-        return self._gate.check(state, request, now).verdicts
+        decision = self._gate.check(state, request, now)
+        for rule, margin in zip(self._gate.rules, decision.margins, strict=True):
+            # a margin that is no number counts as broken, or it would be forgotten
+            self.margins[rule] = min(self.margins[rule], margin if margin <= 1.0 else -1.0)
+        return decision.verdicts

@@ -15,6 +15,7 @@ from viskill_deploy.core.types import (
     CellState,
     JointSetpoint,
     Mode,
+    ObservationRange,
     Request,
     Verdict,
 )
@@ -44,18 +45,21 @@ class Supervisor:
         rules: ids of all rules, in the order of `Decision.margins`.
     """
 
-    def __init__(self, cell: CellDescription, period_s: float) -> None:
+    def __init__(
+        self, cell: CellDescription, period_s: float, training: ObservationRange | None = None
+    ) -> None:
         """Reads the thresholds of a cell.
 
         Args:
             cell: the cell's description.
             period_s: time between two checks, 1 to 10 ms.
+            training: what the policy has seen in training; None where no policy is asked.
 
         Raises:
             DataFileError: a threshold makes no sense or is looser than the gate's ceiling.
             SafetyStop: the installation lacks a rule.
         """
-        self.envelope = CellEnvelope.of(cell, period_s)
+        self.envelope = CellEnvelope.of(cell, period_s, training)
         self._classes = find_rules()
         self.rules = tuple(rule.id for rule in self._classes)
         self._modes = Modes()
