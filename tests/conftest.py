@@ -78,7 +78,7 @@ def manifest_of(task: Task) -> Manifest:
             for skill in task.skills
         ],
         "subgoals": "scripted",
-        "training_range": {"lower": [-1.0] * size, "upper": [1.0] * size},
+        "training_range": {"lower": [-7.0] * size, "upper": [7.0] * size},
         "seeds": [0],
         "measured": [],
         "files": {},

@@ -166,7 +166,7 @@ BAD: dict[str, Edit] = {
     "other frame": put("frame", "world"),
     "scaled units": put("length_unit", "5m"),
     "short range": lambda m: m["training_range"]["lower"].pop(),
-    "crossed range": lambda m: m["training_range"]["lower"].__setitem__(0, 2.0),
+    "crossed range": lambda m: m["training_range"]["lower"].__setitem__(0, 8.0),
     "jaw per arm": lambda m: m["skills"][0].__setitem__("may_open_jaw", [True]),
     "zero budget": lambda m: m["skills"][0].__setitem__("budget", 0),
     "two of a name": lambda m: m["skills"][1].__setitem__("name", "grasp"),
