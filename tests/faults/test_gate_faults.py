@@ -103,6 +103,15 @@ def clock_back(rig: Rig) -> object:
     return rig.ask(rig.going_on(), dt=-3600.0)
 
 
+def clock_leaps(rig: Rig) -> object:
+    return rig.ask(rig.going_on(), dt=3600.0)
+
+
+def gap(rig: Rig) -> object:
+    """The loop is away for as long as a watchdog waits."""
+    return rig.ask(rig.going_on(), dt=0.06)
+
+
 def overload(rig: Rig) -> object:
     return rig.ask(rig.going_on(), dt=0.02)
 
@@ -130,6 +139,8 @@ FAULTS = {
     "second commander": Fault(second_commander, "S24", F),
     "recorder fails": Fault(reported("S32"), "S32", S),
     "clock goes back": Fault(clock_back, "S21", F),
+    "clock leaps": Fault(clock_leaps, "S21", F),
+    "loop away for 60 ms": Fault(gap, "S20", H),
     "machine overloaded": Fault(overload, "S20", H, 0.04, 0.04),
 }
 

@@ -26,6 +26,7 @@ from viskill_deploy.core.types import (
     Waypoint,
 )
 from viskill_deploy.drivers.base import Driver
+from viskill_deploy.drivers.watch import OwnTime
 from viskill_deploy.motion.links import CellLinks
 from viskill_deploy.runtime.ledger import EpisodeResult, Ledger
 from viskill_deploy.runtime.line import Line
@@ -100,6 +101,9 @@ class Session:
         recorder: where the run is recorded.
         training: what the policy has seen in training; None where no policy is asked.
 
+    Raises:
+        DriverError: the driver's time goes on by itself, and it brings no watchdog.
+
     Attributes:
         cause: id of the rule for which the gate first stepped in since `begin`; "" if it did not.
         is_stop_wanted: a person has asked for the end of the run.
@@ -113,6 +117,8 @@ class Session:
         recorder: Recorder,
         training: ObservationRange | None = None,
     ) -> None:
+        if isinstance(driver.watch, OwnTime) and not driver.capabilities.stepped:
+            raise DriverError("a driver whose time goes on without us needs a watchdog; add one")
         self.cell, self.driver, self.line, self.recorder = cell, driver, line, recorder
         self.gate = Supervisor(cell, driver.period_s, training)
         self.ledger = Ledger(cell, driver.period_s, self.gate.rules)

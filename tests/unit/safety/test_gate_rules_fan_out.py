@@ -611,7 +611,17 @@ def test_s20_warns_and_holds_at_the_third_overrun_in_a_second():
         cycle.begin(cycle.state, cycle.request, cycle.now + dt)
         actions.append(worst(words(rule, cycle)))
     P, W, H = Action.PASS, Action.WARN, Action.HOLD
-    assert actions == [P, P, W, P, W, P, H, W, W]
+    assert actions == [P, P, W, P, W, P, H, H, W]
+
+
+@pytest.mark.parametrize(
+    ("gap", "action"),
+    [(0.012, Action.PASS), (0.0499, Action.WARN), (0.05, Action.HOLD), (3600.0, Action.HOLD)],
+)
+def test_s20_holds_after_a_gap_in_which_a_heartbeat_would_be_lost(gap, action):
+    cycle = cycle_of(Rig())
+    cycle.dt = gap
+    assert worst(words(made("S20"), cycle)) is action
 
 
 @pytest.mark.parametrize("now", [0.999999, -1.0, math.nan, math.inf, -math.inf])
@@ -621,6 +631,22 @@ def test_s21_faults_when_the_clock_goes_back_or_is_no_number(now):
     cycle.begin(rig.state(), Request(rig.stay()), now)
     assert worst(words(made("S21"), cycle)) is Action.FAULT
     assert cycle.now == rig.now
+
+
+@pytest.mark.parametrize("gap", [0.5, 3600.0, 86400.0, math.inf, math.nan])
+def test_s21_faults_when_the_clock_leaps(gap):
+    cycle = cycle_of(Rig())
+    cycle.dt = gap
+    (verdict,) = words(made("S21"), cycle)
+    assert (verdict.action, verdict.limit) == (Action.FAULT, 0.5)
+    assert verdict.value == pytest.approx(gap, nan_ok=True)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.004, 0.4999])
+def test_s21_leaves_a_late_cycle_to_s20(gap):
+    cycle = cycle_of(Rig())
+    cycle.dt = gap
+    assert words(made("S21"), cycle) == []
 
 
 def test_s21_passes_time_that_stands_still_or_goes_on():

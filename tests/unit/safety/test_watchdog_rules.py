@@ -9,6 +9,7 @@ from gate_rig import PERIOD, RULES, Rig, words
 
 from viskill_deploy.core.types import Action, Mode, Request
 from viskill_deploy.safety.cycle import Cycle
+from viskill_deploy.safety.supervisor import CLEAN_S
 from viskill_deploy.safety.watchdog import (
     DISABLE_S,
     LOST_S,
@@ -161,7 +162,8 @@ def test_s26_a_lost_watchdog_ends_the_run_after_50_ms():
     assert [(v.rule, v.action) for v in decision.verdicts] == [("S26", Action.STOP)]
     rig.watchdog_s = None
     rig.rest()
-    rig.ask(rig.stay(), dt=0.2)
+    for _ in range(round(CLEAN_S / PERIOD) + 1):
+        rig.ask(rig.stay())
     assert rig.gate.resume(rig.state(), rig.now) != ()
     assert rig.gate.reset(rig.now) is Mode.CONNECTED
 

@@ -10,6 +10,7 @@ from viskill_deploy.core.types import Action, Verdict
 from viskill_deploy.safety.cycle import Cycle
 from viskill_deploy.safety.envelope import ROUNDING, CellEnvelope
 from viskill_deploy.safety.rule_base import Needs
+from viskill_deploy.safety.watchdog import LOST_S
 
 PERIODS = 3.0
 """Two missed cycles are jitter of a general operating system; a third is an overrun."""
@@ -18,7 +19,10 @@ TOO_MANY, WITHIN_S = 3, 1.0
 
 
 class Rule:
-    """WARN at an overrun, HOLD at the third within a second."""
+    """WARN at an overrun; HOLD at the third in a second, and at one as long as a lost heartbeat.
+
+    After that long a watchdog would have held the arms, and a robot has forgotten its speed.
+    """
 
     id: ClassVar[str] = "S20"
     needs: ClassVar[Needs] = Needs.NOTHING
@@ -36,5 +40,6 @@ class Rule:
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """The time since the last cycle, s."""
         recent = [at for at in self._overruns if cycle.now - at <= WITHIN_S]
-        action = Action.HOLD if len(recent) >= TOO_MANY else Action.WARN
+        is_too_much = len(recent) >= TOO_MANY or cycle.dt >= LOST_S
+        action = Action.HOLD if is_too_much else Action.WARN
         yield Verdict(self.id, action, value=cycle.dt, limit=self._limit)

@@ -1,4 +1,4 @@
-"""S21: the driver's clock never goes back."""
+"""S21: the driver's clock never goes back and does not leap."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ from viskill_deploy.core.types import Action, Verdict
 from viskill_deploy.safety.cycle import Cycle
 from viskill_deploy.safety.envelope import CellEnvelope
 from viskill_deploy.safety.rule_base import Needs
+from viskill_deploy.safety.watchdog import DISABLE_S
 
 
 class Rule:
-    """FAULT: ages and deadlines mean nothing any more."""
+    """FAULT: ages and deadlines mean nothing any more.
+
+    Who was away for so long that a watchdog would have taken the power has not seen what happened.
+    """
 
     id: ClassVar[str] = "S21"
     needs: ClassVar[Needs] = Needs.NOTHING
@@ -23,9 +27,15 @@ class Rule:
 
     def margin(self, cycle: Cycle) -> float:
         """1.0 while time goes on."""
-        given = cycle.given_now
-        return 1.0 if given >= cycle.now and isfinite(given) else -1.0
+        return 1.0 if _goes_on(cycle) and cycle.dt < DISABLE_S else -1.0
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
-        """The time given against the time known, s."""
-        yield Verdict(self.id, Action.FAULT, value=cycle.given_now, limit=cycle.now)
+        """The time given against the time known, or how far it leapt against what is allowed, s."""
+        if _goes_on(cycle):
+            yield Verdict(self.id, Action.FAULT, value=cycle.dt, limit=DISABLE_S)
+        else:
+            yield Verdict(self.id, Action.FAULT, value=cycle.given_now, limit=cycle.now)
+
+
+def _goes_on(cycle: Cycle) -> bool:
+    return isfinite(cycle.given_now) and cycle.given_now >= cycle.now
