@@ -6,7 +6,7 @@ BUNDLE ?= policies/bipegtransfer-viskill
 # The CPU suffices for training and tests; name another build of torch here if you have a GPU.
 TORCH  ?= torch==2.13.0
 
-.PHONY: demo test lint unit slow wheel-check bench figures hazards clean
+.PHONY: demo test lint unit slow wheel-check bench figures hazards mutation clean
 
 demo: $(VENV)/.runtime
 	$(BIN)/viskill dry-run $(BUNDLE)
@@ -54,6 +54,12 @@ figures: $(VENV)/.runtime
 	    --no-video --json || exit; done
 	$(BIN)/viskill dry-run $(BUNDLE) --episodes 100 --distribution wide --no-video --json
 	$(BIN)/viskill dry-run $(BUNDLE) --episodes 100 --ik-solver osqp --no-video --json
+
+# Changes one thing at a time in the safety gate: does a test notice? Resumable; up to an hour.
+mutation: $(VENV)/.dev
+	OMP_NUM_THREADS=1 $(BIN)/python tests/mutation/run.py --seeded
+	OMP_NUM_THREADS=1 $(BIN)/python tests/mutation/run.py
+	@echo "make mutation: every mutant that matters is found by the tests."
 
 # docs/hazards.md: hazard, invariant, code and tests, from data and markers.
 hazards: $(VENV)/.dev

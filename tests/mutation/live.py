@@ -49,7 +49,7 @@ def exchange(module: ModuleType, before: ast.Module, after: ast.Module) -> None:
 def _run(module: ModuleType, code: CodeType) -> dict[str, Any]:
     """What a module's names are after its body has run, in a place of its own."""
     space = {"__name__": module.__name__, "__file__": module.__file__}
-    exec(code, space)  # noqa: S102
+    exec(code, space)
     return space
 
 
@@ -79,7 +79,7 @@ def _exchange_values(module: ModuleType, old: dict[str, Any], new: dict[str, Any
     for name, value in new.items():
         live = vars(module).get(name)
         if _is_simple(value) and not _same(value, old.get(name)):
-            for other in list(sys.modules.values()):
+            for other in {id(m): m for m in (module, *sys.modules.values())}.values():
                 if getattr(other, "__dict__", {}).get(name) is live:
                     setattr(other, name, value)
                     count += 1

@@ -116,6 +116,8 @@ class _Walk(ast.NodeTransformer):
         self._place = _inner(node, outer)
         try:
             for kind, other in _options(node, self._place):
+                if kind == "statement" and not self._place.in_code:
+                    continue  # a name that is not there is found by anybody
                 self.found.append((kind, _text(node), _text(other), self._place))
                 if len(self.found) - 1 == self._wanted:
                     return ast.copy_location(other, node)
@@ -231,13 +233,18 @@ def _statements(node: ast.AST) -> Iterator[Option]:
         yield "condition", ast.While(ast.Constant(False), node.body, node.orelse)
     elif isinstance(node, ast.comprehension) and node.ifs:
         yield "condition", ast.comprehension(node.target, node.iter, [], node.is_async)
-    elif isinstance(node, ast.Return) and node.value is not None:
-        if not isinstance(node.value, ast.Constant):
+    elif isinstance(node, ast.Return):
+        if not isinstance(node.value, ast.Constant | None):
             yield "statement", ast.Return(ast.Constant(None))
-    elif isinstance(node, ast.Assign) and not isinstance(node.targets[0], ast.Name):
+    elif _is_deletable(node):
         yield "statement", ast.Pass()
-    elif isinstance(node, ast.Expr | ast.Raise | ast.Continue | ast.Break):
-        yield "statement", ast.Pass()
+
+
+def _is_deletable(node: ast.AST) -> bool:
+    """A statement whose loss is not found at once by a name that is not there."""
+    if isinstance(node, ast.Assign):
+        return not isinstance(node.targets[0], ast.Name)
+    return isinstance(node, ast.Expr | ast.Raise | ast.Continue | ast.Break)
 
 
 def _text(node: ast.AST) -> str:

@@ -9,6 +9,7 @@ survivor stands in `allowed.toml` with the reason why nobody could notice it.
     python tests/mutation/run.py --seeded           # the 25 seeded bugs
     python tests/mutation/run.py --sample 60        # a random part
     python tests/mutation/run.py --only s05         # files and functions whose name holds this
+    python tests/mutation/run.py --quick            # a first look, without the tests that are dear
 
 Exit codes: 0 nothing survives but what is allowed, 1 something does, 2 not everything was tried,
 3 the harness itself is broken.
@@ -31,12 +32,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("PYTHONPATH", str(Path(__file__).resolve().parents[2]))
 
-from mutants import Mutant, mutants_of, mutated
-from server import ROOT, SAFETY, TESTS, HarnessError, Server, serve
+from tests.mutation.mutants import Mutant, mutants_of, mutated
+from tests.mutation.server import ROOT, SAFETY, TESTS, HarnessError, Server, serve
 
 OUTPUT = ROOT / "build/mutation"
 RESULTS = OUTPUT / "results.jsonl"
@@ -124,6 +124,8 @@ def work(server: Server, cases: list[Case], key: str, options: argparse.Namespac
     """Measures the baseline once, then shares the cases between workers."""
     start = time.monotonic()
     server.measure()
+    if options.quick:
+        server.leave_out_dear_tests()
     server.check_itself(random.Random(0))
     print(
         f"{len(cases)} mutants to try against {len(server.items)} tests; the tests pass without "
@@ -230,19 +232,20 @@ def main() -> int:
     parser.add_argument("--seeded", action="store_true", help="the seeded bugs, not the rules")
     parser.add_argument("--only", default="", help="mutants whose id holds this")
     parser.add_argument("--sample", type=int, default=0, help="so many, drawn at random")
+    parser.add_argument("--quick", action="store_true", help="cheap tests only; a first look")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=60.0, help="stop after this long")
     options = parser.parse_args()
     OUTPUT.mkdir(parents=True, exist_ok=True)
     try:
-        cases, key = chosen(options), fingerprint()
+        cases, key = chosen(options), fingerprint() + "-quick" * options.quick
         is_everything = not (options.seeded or options.only or options.sample)
         done = {row["id"] for row in read_results() if row["key"] == key}
         left = [case for case in cases if case.mutant.id not in done]
         if left:
             serve(lambda server: work(server, left, key, options))
-        if fingerprint() != key:
+        if fingerprint() != key.removesuffix("-quick"):
             raise HarnessError("files were changed while the mutants ran; run it again")
         return verdict(cases, key, is_everything)
     except HarnessError as error:

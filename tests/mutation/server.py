@@ -15,7 +15,6 @@ import random
 import resource
 import select
 import signal
-import statistics
 import subprocess
 import sys
 import time
@@ -26,11 +25,12 @@ from pathlib import Path
 from typing import Any
 
 import coverage
-import live
 import pytest
 from _pytest.runner import runtestprotocol
 from hypothesis import Phase, settings
-from mutants import Mutant
+
+from tests.mutation import live
+from tests.mutation.mutants import Mutant
 
 ROOT = Path(__file__).resolve().parents[2]
 SAFETY = ROOT / "viskill_deploy/safety"
@@ -125,6 +125,13 @@ class Server:
                 by_line[file, line] = [name for name in names if name]
         return {"cost": cost, "by_line": by_line}
 
+    def leave_out_dear_tests(self) -> None:
+        """Keeps the tests that cost less than a third of a second."""
+        cost = self.baseline.cost
+        self.items = {name: item for name, item in self.items.items() if cost[name] < 0.3}
+        for place, names in self.baseline.by_line.items():
+            self.baseline.by_line[place] = [name for name in names if name in self.items]
+
     def tests_for(self, mutant: Mutant, hints: Sequence[str] = ()) -> list[str]:
         """Tests to ask, the likeliest first; all that reach the changed line."""
         lines = range(mutant.first_line, mutant.last_line + 1)
@@ -197,16 +204,19 @@ def module_name(file: str) -> str:
 
 
 def _spread(tests: list[str], cost: dict[str, float]) -> list[str]:
-    """One case of each test function first, then the next of each; cheap functions first."""
+    """One case of each cheap test first, then the next of each; the dear ones at the end."""
     groups: dict[str, list[str]] = defaultdict(list)
     for name in tests:
         groups[name.split("[")[0]].append(name)
     for cases in groups.values():
         random.Random(len(cases)).shuffle(cases)
-    order = sorted(groups.values(), key=lambda cases: statistics.median(map(cost.__getitem__, cases)))
-    rounds = max(map(len, order), default=0)
-    turns = ((k, cases) for k in range(rounds) for cases in order)
-    return [cases[k] for k, cases in turns if k < len(cases)]
+    turns = [(k, name) for cases in groups.values() for k, name in enumerate(cases)]
+    return [name for k, name in sorted(turns, key=lambda turn: (_class(cost[turn[1]]), turn))]
+
+
+def _class(seconds: float) -> int:
+    """Tests of about the same cost take turns."""
+    return sum(seconds > bound for bound in (0.03, 0.3, 1.0, 3.0))
 
 
 def _failure(item: pytest.Item) -> str:
@@ -253,7 +263,7 @@ def _in_fork(work: Callable[[], Any], allowed_s: float) -> Any:
         return Fork("timeout", "CPU time")
     if status != 0 or not data:
         raise HarnessError(f"a fork ended with status {status} and {len(data)} bytes of answer")
-    return pickle.loads(data)  # noqa: S301
+    return pickle.loads(data)
 
 
 def _confine(allowed_s: float) -> None:
@@ -277,9 +287,9 @@ def in_fresh_process(mutant: Mutant, after: ast.Module) -> Fork:
         **os.environ,
         "MUTATED_MODULE": module_name(mutant.file),
         "MUTATED_SOURCE": ast.unparse(after),
-        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), os.environ["PYTHONPATH"]]),
+        "PYTHONPATH": str(ROOT),
     }
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "import_hook"]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "tests.mutation.import_hook"]
     command += ["-p", "no:cacheprovider", *TESTS]
     done = subprocess.run(
         command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
