@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from viskill_deploy.bundle.format import Bundle
@@ -89,6 +90,9 @@ class SkillChain:
         if skill not in self._bundle.values:
             return start
         (value,) = self._bundle.values[skill](observation, scene.goal, start.subgoal).tolist()
+        table = self._bundle.manifest.value
+        if table is not None and table.meaning == "return" and math.isfinite(value):
+            return replace(start, value=value)
         if not -ROUNDING <= value <= 1.0 + ROUNDING:
             raise MotionError(
                 f"the value at the start of {skill!r} is {value:.4g}, no probability; look at the "

@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, ValidationError
 
-from viskill_deploy.bundle.graphs import Graph, Signature, open_graph
+from viskill_deploy.bundle.adapter import AdapterEntry, adapters
+from viskill_deploy.bundle.graphs import Affine, Graph, Signature, open_graph
 from viskill_deploy.core.cell_files import Rotation
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import BundleError
@@ -114,10 +115,16 @@ class ChainingEntry(Table):
 
 
 class ValueEntry(Table):
-    """The value at every skill's start: graphs by the skill's name, and what counts as low."""
+    """The value at every skill's start: graphs by the skill's name, and what counts as low.
+
+    `meaning`: a "probability" of the whole task's success, one for every skill; or a "return", the
+    action value of a chaining policy as it was learned, which is no probability and is shown as it
+    is, one for every skill but the last.
+    """
 
     graphs: dict[str, str]
-    threshold: float = Field(ge=0, le=1)
+    threshold: float | None = Field(default=None, ge=0, le=1)
+    meaning: Literal["probability", "return"] = "probability"
 
 
 class TrainingRange(Table):
@@ -143,7 +150,10 @@ class Measured(Table):
 
 
 class Manifest(Table):
-    """`manifest.json`. Frames: task frame; control point: the jaw pivot; lengths in metres."""
+    """`manifest.json`. Frames: task frame; control point: the jaw pivot; lengths in metres.
+
+    That is what the runtime gives and takes; graphs that want something else have an `adapter`.
+    """
 
     schema_version: Literal[1] = Field(alias="schema")
     name: str
@@ -155,6 +165,7 @@ class Manifest(Table):
     frame: Literal["task"]
     control_point: Literal["jaw_pivot"]
     length_unit: Literal["m"]
+    adapter: AdapterEntry | None = None
     step_s: Positive
     action: ActionEntry
     observation: tuple[LayoutEntry, ...]
@@ -230,11 +241,14 @@ def load_bundle(path: Path | str) -> Bundle:
     obs, goal = {"obs": manifest.observation_size}, manifest.goal_size
     seen = obs | {"task_goal": TASK_GOAL_SIZE}
 
-    def opened(graphs: dict[str, str], signature: Signature) -> dict[str, Graph]:
-        return {
-            skill: open_graph(folder / file, _listed(folder, contents, file), signature)
-            for skill, file in graphs.items()
-        }
+    between = _adapters(manifest)
+
+    def opened(graphs: dict[str, str], signature: Signature, outward: str = "") -> dict[str, Graph]:
+        found = {}
+        for skill, file in graphs.items():
+            graph = open_graph(folder / file, _listed(folder, contents, file), signature)
+            found[skill] = graph.adapted(between, between.get(outward))
+        return found
 
     return Bundle(
         folder,
@@ -246,12 +260,23 @@ def load_bundle(path: Path | str) -> Bundle:
         opened(
             manifest.chaining.graphs if manifest.chaining else {},
             Signature(seen, "subgoal", CHOSEN_SIZE),
+            outward="chosen",
         ),
         opened(
             manifest.value.graphs if manifest.value else {},
             Signature(seen | {"subgoal": goal}, "value", 1),
         ),
     )
+
+
+def _adapters(manifest: Manifest) -> Mapping[str, Affine]:
+    if manifest.adapter is None:
+        return {}
+    observation, goal = (
+        [(entry.name, entry.size) for entry in part]
+        for part in (manifest.observation, manifest.goal)
+    )
+    return adapters(manifest.adapter, observation, goal, CHOSEN_SIZE)
 
 
 def read_manifest(folder: Path) -> Manifest:
@@ -321,7 +346,12 @@ def _check_graphs(path: Path, manifest: Manifest) -> None:
         if manifest.goal_size < CHOSEN_SIZE:
             raise BundleError(path, f"goal: chaining needs the {CHOSEN_SIZE} numbers of positions")
     if manifest.value is not None:
-        _check_names(path, "value", manifest.value.graphs, names, value_file)
+        valued = names if manifest.value.meaning == "probability" else names[:-1]
+        _check_names(path, "value", manifest.value.graphs, valued, value_file)
+        if (manifest.value.threshold is None) != (manifest.value.meaning == "return"):
+            raise BundleError(
+                path, "value: a probability needs a threshold, a return has none; export it again"
+            )
 
 
 def _check_names(

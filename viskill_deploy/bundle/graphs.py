@@ -1,11 +1,14 @@
-"""ONNX graphs of a bundle: opened from checked bytes, held to a signature, run a row at a time."""
+"""ONNX graphs of a bundle: opened from checked bytes, held to a signature, run a row at a time.
+
+A graph's first output is its answer; any others are for people and are left alone.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import resource
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -45,13 +48,29 @@ class Signature:
 
     Attributes:
         inputs: width of every input.
-        output: name of the one output.
+        output: name of the first output.
         width: its width.
     """
 
     inputs: Mapping[str, int]
     output: str
     width: int
+
+
+@dataclass(frozen=True, slots=True)
+class Affine:
+    """From the task's numbers to a policy's: `scale * x + offset`, entry by entry."""
+
+    scale: FloatArray
+    offset: FloatArray
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """A vector of the task as the policy wants it."""
+        return self.scale * x + self.offset
+
+    def back(self, y: FloatArray) -> FloatArray:
+        """A vector of the policy as the task wants it."""
+        return (y - self.offset) / self.scale
 
 
 @dataclass(frozen=True)
@@ -62,11 +81,19 @@ class Graph:
         path: the file, for messages.
         signature: what it takes and gives.
         session: ONNX Runtime's.
+        inward: what an adapter does to each input, by its name; nothing by default.
+        outward: what an adapter has done to the numbers of the answer; nothing by default.
     """
 
     path: Path
     signature: Signature
     session: onnxruntime.InferenceSession
+    inward: Mapping[str, Affine] = field(default_factory=dict)
+    outward: Affine | None = None
+
+    def adapted(self, inward: Mapping[str, Affine], outward: Affine | None = None) -> Graph:
+        """The same graph behind an adapter: it takes and gives the task's own numbers."""
+        return replace(self, inward=inward, outward=outward)
 
     def __call__(self, *inputs: FloatArray) -> FloatArray:
         """The answer to one row, (width,), which need not be finite.
@@ -78,12 +105,14 @@ class Graph:
             BundleError: the graph cannot run.
         """
         rows = zip(self.signature.inputs, inputs, strict=True)
-        feed = {name: values[None].astype(np.float32) for name, values in rows}
+        changed = ((n, self.inward[n](x) if n in self.inward else x) for n, x in rows)
+        feed = {name: values[None].astype(np.float32) for name, values in changed}
         try:
             (answer,) = self.session.run([self.signature.output], feed)
         except ORT_ERRORS as error:
             raise BundleError(self.path, f"cannot run: {error}; export it again") from error
-        return np.asarray(answer[0], dtype=np.float64)
+        told = np.asarray(answer[0], dtype=np.float64)
+        return told if self.outward is None else self.outward.back(told)
 
 
 def open_graph(path: Path, content: bytes, signature: Signature) -> Graph:
@@ -117,7 +146,7 @@ def _opened(path: Path, content: bytes, signature: Signature) -> Graph:
         raise BundleError(path, f"is no usable ONNX graph ({error}); export it again") from error
     for wanted, nodes in (
         (signature.inputs, session.get_inputs()),
-        ({signature.output: signature.width}, session.get_outputs()),
+        ({signature.output: signature.width}, session.get_outputs()[:1]),
     ):
         found = {node.name: (node.type, len(node.shape), *node.shape[-1:]) for node in nodes}
         expected = {name: ("tensor(float)", 2, width) for name, width in wanted.items()}

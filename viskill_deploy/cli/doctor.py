@@ -23,7 +23,13 @@ from viskill_deploy.core.robot_files import ToolFile, read_toml
 EXAMPLE = "Example: viskill doctor --json"
 
 PARTS = ("pin", "mujoco", "ruckig", "daqp", "osqp", "qpsolvers", "onnxruntime", "numpy", "rosbags")
-EXTRAS = {"train": "torch", "ros": "cyclonedds", "can": "canopen", "view": "viser"}
+EXTRAS = {
+    "train": "torch",
+    "import": "onnx",
+    "ros": "cyclonedds",
+    "can": "canopen",
+    "view": "viser",
+}
 
 
 def command(

@@ -41,7 +41,16 @@ def command(
 def _value(manifest: Manifest) -> str:
     if manifest.value is None:
         return "none"
+    if manifest.value.threshold is None:
+        return "the chaining policy's action value at a skill's start, no probability"
     return f"read at every skill's start, low below {manifest.value.threshold:g}"
+
+
+def _adapter(manifest: Manifest) -> str:
+    if manifest.adapter is None:
+        return "none, graphs take metres in the task frame"
+    origin = ", ".join(f"{x:g}" for x in manifest.adapter.task_origin_m)
+    return f"lengths x {manifest.adapter.length_scale:g}, task frame at ({origin}) m of the world"
 
 
 def _print(bundle: Bundle, console: Console) -> None:
@@ -53,6 +62,7 @@ def _print(bundle: Bundle, console: Console) -> None:
         ("method", manifest.method),
         ("made by", manifest.created_by),
         ("arms", arms),
+        ("adapter", _adapter(manifest)),
         ("policy step", f"{manifest.step_s} s"),
         ("observation", f"{manifest.observation_size} numbers"),
         ("subgoals", f"{manifest.goal_size} numbers, {SUBGOALS[manifest.subgoals]}"),

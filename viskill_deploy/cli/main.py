@@ -17,6 +17,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import typer
 
 from viskill_deploy.cli import (
+    bring,
     doctor,
     dry_run,
     evaluate,
@@ -45,6 +46,7 @@ app.command("evaluate", epilog=evaluate.EXAMPLE)(evaluate.command)
 app.command("sweep", epilog=sweep.EXAMPLE)(sweep.command)
 app.command("reproduce", epilog=reproduce.EXAMPLE)(reproduce.command)
 app.command("export", epilog=export.EXAMPLE)(export.command)
+app.add_typer(bring.app, name="import")
 
 
 def main() -> None:

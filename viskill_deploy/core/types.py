@@ -261,7 +261,8 @@ class SkillStart:
         subgoal: what it has to reach, laid out as its task says; m, task frame; (n,).
         source: who gave the subgoal: the "scripted" plan, the "chaining" policy, or the "task",
             which gives the last skill's.
-        value: probability, as seen then, that the whole task succeeds; None when nothing tells it.
+        value: probability, as seen then, that the whole task succeeds, or what else the bundle's
+            manifest says of it; None when nothing tells it.
     """
 
     skill: str

@@ -123,7 +123,7 @@ def make_plan(
         MotionError: the trajectory cannot be resolved or smoothed inside the limits, or does not
             do the task in the simulator.
     """
-    loop = ClosedLoop(task, World(cell))
+    loop = ClosedLoop(task, World(cell), bundle.manifest.action.spec())
     observation = loop.reset(scene, measured)
     chain = SkillChain(bundle, subgoal_source(bundle, task, rng))
     starts: dict[str, SkillStart] = {}

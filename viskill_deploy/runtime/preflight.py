@@ -81,8 +81,8 @@ def _check_layout(bundle: Bundle, task: Task) -> None:
     theirs_skills = [(s.name, s.budget, s.may_open_jaw) for s in manifest.skills]
     if theirs_skills != [(s.name, s.budget, s.may_open_jaw) for s in task.skills]:
         raise BundleError(bundle.path, f"its skills are not those of {task.name!r}; export again")
-    step_s = task.cell.file.motion.step_s
-    if manifest.action.spec() != task.action or manifest.step_s != step_s:
+    is_own = manifest.adapter is not None or manifest.action.spec() == task.action
+    if not is_own or manifest.step_s != task.cell.file.motion.step_s:
         raise BundleError(
             bundle.path,
             f"its actions or its step are not those of {task.name!r} here; train it again",

@@ -13,7 +13,7 @@ from viskill_deploy.core.types import FloatArray, Scene, Waypoint
 from viskill_deploy.motion.links import CellLinks
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.motion.smoothing import AxisMotion, Segment, SegmentPlanner, passing_velocity
-from viskill_deploy.motion.waypoints import apply_action
+from viskill_deploy.motion.waypoints import ActionSpec, apply_action
 from viskill_deploy.sim.tasks.base import SkillSpec, Task
 from viskill_deploy.sim.world import World
 
@@ -24,13 +24,17 @@ class ClosedLoop:
     Args:
         task: what to do.
         world: where; a perfect one at 4 ms by default.
+        action: what actions mean; the task's own meaning by default.
 
     Attributes:
         stretch: how much longer than meant the last step took.
     """
 
-    def __init__(self, task: Task, world: World | None = None) -> None:
+    def __init__(
+        self, task: Task, world: World | None = None, action: ActionSpec | None = None
+    ) -> None:
         self.task, self.world = task, world or World(task.cell)
+        self._action = action or task.action
         self._planner = SegmentPlanner(task.cell, self.world.options.period_s)
         self._links = CellLinks(task.cell)
         self._rest(self.world.home)
@@ -74,7 +78,7 @@ class ClosedLoop:
         """
         cell = self.task.cell
         self._last = apply_action(
-            self._last, action, self._tips, cell, self.task.action, skill.name, skill.may_open_jaw
+            self._last, action, self._tips, cell, self._action, skill.name, skill.may_open_jaw
         )
         target = self._links.targets(self._last, self._motion)
         wish = passing_velocity(self._motion, np.array(target), self._last.step_s)

@@ -2,47 +2,17 @@
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
-import onnx
-from onnx import TensorProto, helper, numpy_helper
-
+from viskill_deploy.bundle.graph_writer import GraphWriter
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.train.network import COARSE_M, FINE_M, TURN_GAIN, Scaling
 from viskill_deploy.train.subgoal_space import POSITIONS, SubgoalSpace
-
-OPSET = 17
-IR_VERSION = 8
 
 Weights = dict[str, FloatArray]
 """Numbers of a `Network` by name."""
 
 
-class _Graph:
-    """Nodes and constants in the making."""
-
-    def __init__(self, **inputs: int) -> None:
-        self.nodes: list[onnx.NodeProto] = []
-        self.constants: list[onnx.TensorProto] = []
-        self._inputs = inputs
-
-    def node(self, kind: str, *inputs: str, **attributes: int) -> str:
-        """Adds a node and returns the name of its output."""
-        name = f"{kind.lower()}{len(self.nodes)}"
-        self.nodes.append(helper.make_node(kind, list(inputs), [name], name, **attributes))
-        return name
-
-    def constant(self, values: npt.ArrayLike, dtype: npt.DTypeLike = np.float32) -> str:
-        """Adds a constant and returns its name."""
-        name = f"constant{len(self.constants)}"
-        array = np.ascontiguousarray(values, dtype=dtype)
-        self.constants.append(numpy_helper.from_array(array, name))
-        return name
-
-    def columns(self, value: str, start: int, stop: int) -> str:
-        """Columns of a matrix."""
-        bounds = [self.constant([n], np.int64) for n in (start, stop, 1)]
-        return self.node("Slice", value, *bounds)
+class _Graph(GraphWriter):
+    """With what networks of this project compute."""
 
     def features(self, x: str, scaling: Scaling) -> str:
         """What `Network.features` computes."""
@@ -62,30 +32,9 @@ class _Graph:
 
     def head(self, value: str, weights: Weights) -> str:
         """What `Network.head` computes."""
-        count = len(weights) // 2
-        for layer in range(count):
-            matrix = self.constant(weights[f"layers.{layer}.weight"])
-            bias = self.constant(weights[f"layers.{layer}.bias"])
-            value = self.node("Gemm", value, matrix, bias, transB=1)
-            if layer < count - 1:
-                value = self.node("Relu", value)
-        return value
-
-    def finished(self, value: str, output: str, size: int) -> bytes:
-        """The serialised graph with one output."""
-        self.nodes.append(helper.make_node("Identity", [value], [output], output))
-        graph = helper.make_graph(
-            self.nodes,
-            output,
-            [_tensor(name, length) for name, length in self._inputs.items()],
-            [_tensor(output, size)],
-            self.constants,
-        )
-        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)])
-        model.ir_version = IR_VERSION
-        onnx.checker.check_model(model)
-        serialised: bytes = model.SerializeToString()
-        return serialised
+        names = [f"layers.{layer}" for layer in range(len(weights) // 2)]
+        pairs = ((weights[f"{name}.weight"], weights[f"{name}.bias"]) for name in names)
+        return self.network(value, pairs)
 
 
 def skill_graph(scaling: Scaling, weights: Weights, observation: int, goal: int) -> bytes:
@@ -100,7 +49,7 @@ def skill_graph(scaling: Scaling, weights: Weights, observation: int, goal: int)
     g = _Graph(obs=observation, goal=goal)
     features = g.features(g.node("Concat", "obs", "goal", axis=1), scaling)
     action = g.node("Tanh", g.head(features, weights))
-    return g.finished(action, "action", len(weights["layers.3.bias"]))
+    return g.finished({"action": (action, len(weights["layers.3.bias"]))})
 
 
 def chain_graph(scaling: Scaling, weights: Weights, space: SubgoalSpace, observation: int) -> bytes:
@@ -116,7 +65,8 @@ def chain_graph(scaling: Scaling, weights: Weights, space: SubgoalSpace, observa
     features = g.features(g.node("Concat", "obs", "task_goal", axis=1), scaling)
     image = g.node("Tanh", g.columns(g.head(features, weights), 0, POSITIONS))
     metres = g.node("Mul", image, g.constant(space.half))
-    return g.finished(g.node("Add", metres, g.constant(space.centre)), "subgoal", POSITIONS)
+    subgoal = g.node("Add", metres, g.constant(space.centre))
+    return g.finished({"subgoal": (subgoal, POSITIONS)})
 
 
 def value_graph(scaling: Scaling, weights: Weights, observation: int, goal: int) -> bytes:
@@ -131,8 +81,4 @@ def value_graph(scaling: Scaling, weights: Weights, observation: int, goal: int)
     g = _Graph(obs=observation, task_goal=3, subgoal=goal)
     positions = g.columns("subgoal", 0, POSITIONS)
     features = g.features(g.node("Concat", "obs", "task_goal", positions, axis=1), scaling)
-    return g.finished(g.node("Sigmoid", g.head(features, weights)), "value", 1)
-
-
-def _tensor(name: str, size: int) -> onnx.ValueInfoProto:
-    return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["N", size])
+    return g.finished({"value": (g.node("Sigmoid", g.head(features, weights)), 1)})

@@ -1,0 +1,1 @@
+"""Checkpoints of the official ViSkill code: read without running anything, written as bundles."""

@@ -1,0 +1,186 @@
+"""An official policy written as a bundle: graphs as trained, adapter and provenance beside them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from viskill_deploy.bundle.adapter import AdapterEntry
+from viskill_deploy.bundle.format import (
+    ActionEntry,
+    ArmEntry,
+    ChainingEntry,
+    LayoutEntry,
+    Manifest,
+    SkillEntry,
+    TrainingRange,
+    ValueEntry,
+    chain_file,
+    skill_file,
+    value_file,
+    write_manifest,
+)
+from viskill_deploy.bundle.official.checkpoint import Official
+from viskill_deploy.bundle.official.graphs import chain_graph, skill_graph, value_graph
+from viskill_deploy.core.errors import BundleError
+from viskill_deploy.core.robot_files import Vector3
+from viskill_deploy.sim.tasks.base import Layout, Task
+
+LENGTH_SCALE = 5.0
+"""The official simulation is run in a world that is enlarged this much."""
+
+TASK_ORIGIN_M: Mapping[str, Vector3] = {
+    "bipegtransfer": (0.55, 0.0, 0.6971),
+    "bipegboard": (0.55, 0.0, 0.690),
+    "matchboardpanel": (0.55, -0.02, 0.676),
+}
+"""Origin of the task's frame in the official world, m: board's or table's top."""
+
+DISPLACEMENT_M = 0.010
+ROTATION_RAD, PITCH_RAD, JAW_OPEN_RAD = (math.radians(a) for a in (30.0, 15.0, 40.0))
+
+CARD = "MODEL_CARD.md"
+CARD_TEXT = """# {name}
+
+Official ViSkill checkpoints for the task **{task}**, imported by {created_by}.
+
+{sources}
+
+Graphs compute what the official code computes, in its scaled world units, normalizers inside; the
+manifest's `adapter` says how the runtime's metres in the task frame become those (lengths x
+{scale:g}, task frame at {origin} m of the world). Positions are about the jaw pivot, the origin of
+the wrist-yaw frame. Displacements are added to what is measured, as in training. The jaws open to
+40 degrees; closed is the tool's own grip angle.
+
+## Limits
+- The policy was trained in another simulator. Contacts, tracking, layouts and the height of the
+  goal differ here; a success figure of this project's simulator says how well it carries over, and
+  nothing about how well it was trained.
+- An action of the official code may move 17 mm in a step of 0.2 s. The line keeps its tip speed,
+  so such a step takes longer here.
+- `training_range` is what the normalizers let through: five standard deviations about the mean.
+"""
+
+
+def write_bundle(official: Official, task: Task, folder: Path, scripted: bool = False) -> Path:
+    """Writes an official policy as a bundle.
+
+    Args:
+        official: the policy.
+        task: its task in this project.
+        folder: of the bundle; new or empty.
+        scripted: take the subgoals from the task's scripted plan, not from the chaining policy.
+
+    Raises:
+        BundleError: the folder is in use, or there is no chaining policy to take subgoals from.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise BundleError(folder, "is not an empty folder; name a new one")
+    if not official.chaining and not scripted:
+        raise BundleError(
+            next(iter(official.skills.values())).path,
+            "has no chaining checkpoint beside it; put the viskill/ folder there, or import the "
+            "skills alone with --subgoals scripted",
+        )
+    graphs = {skill_file(name): skill_graph(skill) for name, skill in official.skills.items()}
+    goal = sum(size for _, size in task.goal_layout)
+    for name, chain in {} if scripted else official.chaining.items():
+        graphs[chain_file(name)] = chain_graph(chain)
+        graphs[value_file(name)] = value_graph(chain, goal)
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, graph in graphs.items():
+        (folder / file).write_bytes(graph)
+    manifest = _manifest(official, task, folder.name, scripted)
+    (folder / CARD).write_text(_card(official, manifest), encoding="utf-8")
+    write_manifest(folder, manifest)
+    return folder
+
+
+def _manifest(official: Official, task: Task, name: str, scripted: bool) -> Manifest:
+    cell, adapter = task.cell, _adapter(task)
+    chained = [] if scripted else list(official.chaining)
+    return Manifest(
+        schema=1,
+        name=name,
+        task=task.name,
+        cell=cell.name,
+        method="official",
+        created_by=f"viskill-deploy {version('viskill-deploy')}",
+        arms=tuple(
+            ArmEntry(name=arm.name, robot=arm.entry.robot, tool=arm.entry.tool) for arm in cell.arms
+        ),
+        frame="task",
+        control_point="jaw_pivot",
+        length_unit="m",
+        adapter=adapter,
+        step_s=cell.file.motion.step_s,
+        action=ActionEntry(
+            reference="measured",
+            displacement_m=DISPLACEMENT_M,
+            max_displacement_m=math.sqrt(3.0) * DISPLACEMENT_M,
+            rotation=task.action.rotation,
+            rotation_rad=ROTATION_RAD,
+            pitch_rad=PITCH_RAD,
+            jaw="binary",
+            jaw_open_rad=JAW_OPEN_RAD,
+        ),
+        observation=_layout(task.observation_layout),
+        goal=_layout(task.goal_layout),
+        skills=tuple(
+            SkillEntry(
+                name=skill.name,
+                file=skill_file(skill.name),
+                budget=skill.budget,
+                may_open_jaw=skill.may_open_jaw,
+            )
+            for skill in task.skills
+        ),
+        subgoals="chaining" if chained else "scripted",
+        chaining=ChainingEntry(graphs={s: chain_file(s) for s in chained}) if chained else None,
+        value=ValueEntry(graphs={s: value_file(s) for s in chained}, meaning="return")
+        if chained
+        else None,
+        training_range=_range(official, adapter, task.observation_layout),
+        seeds=(),
+        measured=(),
+        files={},
+    )
+
+
+def _adapter(task: Task) -> AdapterEntry:
+    return AdapterEntry(
+        frame="world",
+        length_scale=LENGTH_SCALE,
+        task_origin_m=TASK_ORIGIN_M[task.name],
+        control_point="jaw_pivot",
+    )
+
+
+def _range(official: Official, adapter: AdapterEntry, layout: Layout) -> TrainingRange:
+    """What the normalizers of the skills tell apart, in metres in the task frame."""
+    change = adapter.affine(layout)
+    scales = [skill.observation for skill in official.skills.values()]
+    low = np.min([change.back(s.mean - s.clip * s.std) for s in scales], axis=0)
+    high = np.max([change.back(s.mean + s.clip * s.std) for s in scales], axis=0)
+    return TrainingRange(lower=tuple(map(float, low)), upper=tuple(map(float, high)))
+
+
+def _layout(layout: Layout) -> tuple[LayoutEntry, ...]:
+    return tuple(LayoutEntry(name=name, size=size) for name, size in layout)
+
+
+def _card(official: Official, manifest: Manifest) -> str:
+    sources = [f"- `{name}`: {skill.path.name}" for name, skill in official.skills.items()]
+    sources.append(f"- subgoals: {manifest.subgoals}")
+    return CARD_TEXT.format(
+        name=manifest.name,
+        task=manifest.task,
+        created_by=manifest.created_by,
+        sources="\n".join(sources),
+        scale=LENGTH_SCALE,
+        origin=TASK_ORIGIN_M[manifest.task],
+    )
