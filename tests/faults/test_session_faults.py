@@ -186,6 +186,44 @@ def test_the_power_goes_also_when_the_driver_refuses_everything_else() -> None:
     assert driver.cell.state(0.0).arms[0].operating_state == DISABLED
 
 
+@pytest.mark.invariant("S22")
+@pytest.mark.parametrize("source", ["simulated", "pedal"])
+def test_arms_that_are_real_are_not_armed_on_a_simulated_operators_word(source: str) -> None:
+    session, driver, _ = running()
+    session.line.fail("the test begins anew")
+    run_out(session, driver)
+    assert session.gate.reset(0.0) is Mode.CONNECTED
+    driver.capabilities, driver.cycles = replace(driver.capabilities, simulated=False), FAULT_AT + 1
+    session.make_ready()
+    words = iter(range(10**6))
+
+    def pedal(state: CellState) -> CellState:
+        """Let go for ten readings, then pressed."""
+        inputs = replace(state.inputs, consent=next(words) >= 10, consent_source=source)
+        return replace(state, inputs=inputs)
+
+    driver.on_state = pedal
+    if source == "simulated":
+        with pytest.raises(SafetyStop, match="a person has to agree"):
+            session.begin()
+        assert session.gate.mode is not Mode.ARMED
+    else:
+        session.begin()
+        assert session.gate.mode is Mode.ARMED
+
+
+@pytest.mark.invariant("S22")
+def test_an_operator_who_lets_go_holds_the_arms_in_the_same_cycle() -> None:
+    session, driver, notebook = running()
+    for _ in range(FAULT_AT):
+        assert session.cycle()
+    driver.say(consent=False)
+    assert run_out(session, driver) == 0
+    assert session.cause == "S22"
+    assert notebook.modes[-1] is Mode.HOLDING
+    assert_stopped_smoothly(driver)
+
+
 @pytest.mark.invariant("S31", "S23")
 def test_nobody_arms_again_after_an_emergency_stop_in_this_process() -> None:
     session, driver, _ = running()

@@ -55,9 +55,10 @@ class Rig:
         self.held = tuple(JointSetpoint(home(a), (0.0,) * 6, 0.3, 0.0) for a in self.cell.arms)
         self.before = self.older = self.held
         self.broken: dict[int, dict[str, Any]] = {}
+        self.said: dict[str, Any] = {}
 
     def state(self) -> CellState:
-        """What the driver says now; `broken` replaces fields of an arm."""
+        """What the driver says now; `broken` replaces fields of an arm, `said` of the inputs."""
         wobble = 1e-9 * (self.ticks % 7)
         arms = []
         for index, (cell_arm, held) in enumerate(zip(self.cell.arms, self.held, strict=True)):
@@ -82,7 +83,7 @@ class Rig:
         inputs = Inputs(
             self.consent, self.now, "simulated", self.estop, watch, self.watchdog_stepped_in
         )
-        return CellState(tuple(arms), inputs)
+        return CellState(tuple(arms), replace(inputs, **self.said))
 
     def arm(self) -> tuple[Verdict, ...]:
         """From OFF to ARMED as an operator would do it."""

@@ -64,6 +64,8 @@ class Motion(Table):
     step_s: Positive
     tip_speed_m_s: Positive
     tip_speed_ceiling_m_s: Positive
+    consent_hold_s: Positive
+    consent_stop_s: Positive
     floor_m: float
 
 

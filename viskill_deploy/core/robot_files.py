@@ -197,6 +197,10 @@ class GateThresholds(Table):
     first_command_m: Positive
     insertion_past_rcm_m: Positive
     feedback_period_s: Positive
+    tracking_rad: Positive
+    tracking_m: Positive
+    tracking_wrist_rad: Positive
+    tracking_s: Positive
 
 
 class RobotFile(Table):

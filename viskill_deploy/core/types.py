@@ -79,10 +79,13 @@ class Inputs:
     Attributes:
         consent: the operator agrees to motion.
         consent_stamp_s: driver's clock of the newest word on it.
-        consent_source: "simulated" on the loopback; never accepted by a real run.
+        consent_source: who says so; "simulated" on the loopback, never accepted by a real run.
         estop: an emergency stop is pressed or its line is lost.
         watchdog_stamp_s: driver's clock at which the watchdog last looked. Bad until shown good.
         watchdog_stepped_in: it has held the arms, because the runtime was not heard of.
+        consent_is_streamed: the source repeats its word, many times a second. If not, it speaks at
+            changes only, such as the edges of a pedal.
+        consent_alive_s: for such a source, driver's clock at its last sign of life.
     """
 
     consent: bool
@@ -91,6 +94,8 @@ class Inputs:
     estop: bool
     watchdog_stamp_s: float = -math.inf
     watchdog_stepped_in: bool = False
+    consent_is_streamed: bool = True
+    consent_alive_s: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)

@@ -153,7 +153,12 @@ def _ideal(
     """What arms that follow perfectly would report."""
     arms = tuple(_follows(arm, s, now) for arm, s in zip(state.arms, setpoints, strict=True))
     inputs = replace(
-        state.inputs, consent=consent, consent_stamp_s=now, estop=False, watchdog_stamp_s=now
+        state.inputs,
+        consent=consent,
+        consent_stamp_s=now,
+        consent_alive_s=now,
+        estop=False,
+        watchdog_stamp_s=now,
     )
     return CellState(arms, inputs)
 

@@ -36,6 +36,9 @@ from viskill_deploy.safety.supervisor import Supervisor
 HOLDING_RAD = 0.08
 """A jaw that is told to close and stays open farther than this has something in it."""
 
+SIMULATED = "simulated"
+"""Source of the consent that the loopback's own operator gives; no real arm moves on it."""
+
 READY_PERIODS = 50
 """Control periods that the arms get to become READY."""
 
@@ -178,6 +181,10 @@ class Session:
         if self.driver.capabilities.simulated:
             self.driver.say(consent=True)
         state = self._watch(lambda state: state.inputs.consent)
+        if state.inputs.consent_source == SIMULATED and not self.driver.capabilities.simulated:
+            raise SafetyStop(
+                "the operator is simulated and the arms are not; a person has to agree to motion"
+            )
         against = self.gate.arm(state, self.driver.clock.now())
         if against:
             reasons = ", ".join(f"{v.rule} ({v.value:.4g}, limit {v.limit:.4g})" for v in against)

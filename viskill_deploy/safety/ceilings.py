@@ -44,6 +44,16 @@ MIN_PAST_RCM_M: Final = 0.047
 MAX_FEEDBACK_PERIOD_S: Final = 0.02
 """Feedback slower than 50 Hz would let ten missed samples pass for 200 ms."""
 
+TRACKING: Final = (0.05, 0.003, 0.1)
+"""rad for yaw and pitch, m, rad for roll and wrist. About 8, 3 and 1 mm at the tip."""
+
+TRACKING_S: Final = 0.05
+"""A bump against a block is over sooner; at the run's speed a tip is 2.5 mm farther by then."""
+
+CONSENT_S: Final = (0.2, 2.0)
+"""Silence of an operator that holds, and that ends the run. A person lets go of a pedal within
+200 ms of being startled; a word that is older says nothing about now."""
+
 TIP_SPEED_M_S: Final = 0.05
 """Speed of the control point in a run: the tasks' own scripted motions stay under it."""
 

@@ -22,6 +22,7 @@ class Cycle:
         is_first: no setpoint has passed since the cell was armed or resumed.
         is_stopping: the gate sends its own stop, so the request is not going out anyway.
         reports: what others have reported to the supervisor since the last cycle.
+        stopped_before: ids of rules that have ended an earlier run of this supervisor.
     """
 
     __slots__ = (
@@ -34,6 +35,7 @@ class Cycle:
         "reports",
         "request",
         "state",
+        "stopped_before",
         "tracks",
     )
 
@@ -46,6 +48,7 @@ class Cycle:
         self.dt = envelope.period
         self.is_first, self.is_stopping = True, False
         self.reports: tuple[Verdict, ...] = ()
+        self.stopped_before: frozenset[str] = frozenset()
         self.request = Request(setpoints=None)
         self.state: CellState
 

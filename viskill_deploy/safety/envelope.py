@@ -29,6 +29,7 @@ class ArmEnvelope:
         max_speed, max_acceleration, max_jerk: (7,).
         first_command: how far the first setpoint may be from the driver's, (6,).
         insertion_min: insertion with the wrist just past the cannula.
+        tracking: how far a measured joint may be from its setpoint, (6,), for `tracking_time`.
         workspace_lower, workspace_upper: box of the control point, task frame.
     """
 
@@ -45,6 +46,8 @@ class ArmEnvelope:
     first_command: Joints
     insertion_min: float
     feedback_period: float
+    tracking: Joints
+    tracking_time: float
     workspace_lower: Point
     workspace_upper: Point
     chain: Chain
@@ -59,6 +62,7 @@ class CellEnvelope:
         tip_speed: speed of a control point in a run, m/s.
         tip_speed_ceiling: speed at which the run ends, m/s.
         floor: lowest height of a jaw end, task frame, m.
+        consent_hold, consent_stop: time without the operator's consent, s.
         training: what the policy has seen in training; None where no policy is asked.
     """
 
@@ -67,6 +71,8 @@ class CellEnvelope:
     tip_speed: float
     tip_speed_ceiling: float
     floor: float
+    consent_hold: float
+    consent_stop: float
     training: ObservationRange | None = None
 
     @classmethod
@@ -91,6 +97,9 @@ class CellEnvelope:
             ceilings.TIP_SPEED_CEILING_M_S,
         )
         _within(path, "motion.floor_m", motion.floor_m, ceilings.MIN_FLOOR_M, 0.1)
+        hold, stop = ceilings.CONSENT_S
+        _positive(path, "motion.consent_hold_s", motion.consent_hold_s, hold)
+        _within(path, "motion.consent_stop_s", motion.consent_stop_s, motion.consent_hold_s, stop)
         if not cell.arms:
             raise DataFileError(path, "arm", "the cell has no arm; add one")
         return cls(
@@ -99,6 +108,8 @@ class CellEnvelope:
             tip_speed=float(motion.tip_speed_m_s),
             tip_speed_ceiling=float(motion.tip_speed_ceiling_m_s),
             floor=float(motion.floor_m),
+            consent_hold=float(motion.consent_hold_s),
+            consent_stop=float(motion.consent_stop_s),
             training=training,
         )
 
@@ -128,6 +139,11 @@ def _arm(cell_path: Path, cell_arm: CellArm) -> ArmEnvelope:
         ),
         insertion_min=float(arm.insertion_min_m),
         feedback_period=float(gate.feedback_period_s),
+        tracking=_floats(
+            *(gate.tracking_m if slides else gate.tracking_rad for slides in by_kind[:3]),
+            *(gate.tracking_wrist_rad for _ in by_kind[3:]),
+        ),
+        tracking_time=float(gate.tracking_s),
         workspace_lower=entry.workspace_lower_m,
         workspace_upper=entry.workspace_upper_m,
         chain=Chain.of(cell_arm),
@@ -183,6 +199,9 @@ def _check_gate(arm: ArmDescription) -> None:
     _positive(path, "insertion range past the cannula", beyond, 1.0)
     slowest = ceilings.MAX_FEEDBACK_PERIOD_S
     _positive(path, "gate.feedback_period_s", gate.feedback_period_s, slowest)
+    for key, ceiling in zip(("rad", "m", "wrist_rad"), ceilings.TRACKING, strict=True):
+        _positive(path, f"gate.tracking_{key}", getattr(gate, f"tracking_{key}"), ceiling)
+    _positive(path, "gate.tracking_s", gate.tracking_s, ceilings.TRACKING_S)
     _positive(arm.files[-1], "jaw.finger_length_m", arm.jaw.finger_length_m, ceilings.MAX_FINGER_M)
 
 

@@ -70,6 +70,7 @@ class Supervisor:
         self._stops: list[ArmStop] = []
         self._stop_cycles, self._dirty_at = 0, -inf
         self._cause: tuple[Verdict, ...] = ()
+        self._stopped_by: set[str] = set()
         self._renew_rules()
 
     @property
@@ -112,6 +113,7 @@ class Supervisor:
         for track, setpoint in zip(self._cycle.tracks, stay, strict=True):
             track.begin(setpoint)
         self._cycle.is_first, self._cycle.is_stopping = True, False
+        self._cycle.stopped_before = frozenset(self._stopped_by)
         verdicts = self._judge(state, Request(stay), now)
         against = tuple(verdict for verdict in verdicts if verdict.action >= Action.HOLD)
         if not against:
@@ -250,6 +252,7 @@ class Supervisor:
                 verdicts = (*verdicts, rough)
         if worst >= Action.HOLD:
             self._cause, self._dirty_at = verdicts, cycle.now
+        self._stopped_by.update(v.rule for v in verdicts if v.action >= Action.STOP)
         modes.escalate(worst)
         return Decision(
             tuple([CheckedSetpoint(track.index, track.sent, _TOKEN) for track in cycle.tracks]),

@@ -26,7 +26,13 @@ JAW_NUMBERS = [
     "finger_length_m",
 ]
 GATE_NUMBERS = list(type(CELL.arms[0].arm.gate).model_fields)
-MOTION_NUMBERS = ["tip_speed_m_s", "tip_speed_ceiling_m_s", "floor_m"]
+MOTION_NUMBERS = [
+    "tip_speed_m_s",
+    "tip_speed_ceiling_m_s",
+    "floor_m",
+    "consent_hold_s",
+    "consent_stop_s",
+]
 NONSENSE = [math.nan, math.inf, -math.inf]
 
 
@@ -68,7 +74,10 @@ def test_the_shipped_thresholds_are_accepted_as_they_are():
     assert arm.first_command == (0.02, 0.02, 0.001, 0.02, 0.02, 0.02)
     assert arm.insertion_min == pytest.approx(0.0626)
     assert (arm.measured_slack, arm.feedback_period) == (0.0087, 0.01)
+    assert arm.tracking == (0.05, 0.05, 0.003, 0.1, 0.1, 0.1)
+    assert arm.tracking_time == 0.05
     assert (envelope.tip_speed, envelope.tip_speed_ceiling) == (0.05, 0.25)
+    assert (envelope.consent_hold, envelope.consent_stop) == (0.2, 2.0)
 
 
 @pytest.mark.parametrize("tool", data.names("robots/tools"))
@@ -127,10 +136,18 @@ def test_the_ceiling_of_the_tip_speed_is_not_under_its_limit():
     assert refused(with_table("motion", "tip_speed_ceiling_m_s", 0.04)).endswith("ceiling_m_s")
 
 
+def test_a_run_is_held_before_it_is_ended_for_want_of_consent():
+    assert refused(with_table("motion", "consent_stop_s", 0.1)) == "motion.consent_stop_s"
+    assert refused(with_table("motion", "consent_hold_s", 0.2001)) == "motion.consent_hold_s"
+    assert refused(with_table("motion", "consent_stop_s", 2.001)) == "motion.consent_stop_s"
+
+
 def test_stricter_values_are_accepted():
     assert CellEnvelope.of(with_joint(0, "max_velocity_rad_s", 0.5), 0.004)
     assert CellEnvelope.of(with_table("gate", "position_margin_rad", 0.05), 0.004)
     assert CellEnvelope.of(with_table("motion", "tip_speed_m_s", 0.01), 0.004)
+    assert CellEnvelope.of(with_table("gate", "tracking_wrist_rad", 0.05), 0.004)
+    assert CellEnvelope.of(with_table("motion", "consent_stop_s", 0.2), 0.004)
 
 
 def test_a_classic_arm_does_not_get_the_range_of_an_si():

@@ -52,6 +52,7 @@ def rehearsed() -> tuple[Rehearsal, Rig]:
     agreed = replace(refused, inputs=replace(refused.inputs, consent=True))
     rehearsal = Rehearsal(CELL, PERIOD)
     assert rehearsal.begin(refused, agreed, rig.now) == ()
+    rig.consent = True
     return rehearsal, rig
 
 

@@ -513,6 +513,211 @@ def test_s13_lets_an_arm_rest_in_the_cannula_and_use_its_jaw():
     assert words(made("S13"), cycle) == []
 
 
+# S17, S22: where the arms are, and who agrees ------------------------------------------------
+
+
+def tracked(rig: Rig, rule, arm: int, joint: int, error: float, times: int, dt=PERIOD) -> list:
+    """Actions of S17 while one joint is measured `error` away from its setpoint."""
+    actions = []
+    cycle = cycle_of(rig)
+    cycle.is_first = False
+    for _ in range(times):
+        measured = rig.held[arm].jp[joint] + error
+        rig.broken[arm] = {"measured_jp": replaced(rig.held[arm].jp, joint, measured)}
+        rig.now += dt
+        cycle.begin(rig.state(), Request(rig.stay()), rig.now)
+        verdicts = words(rule, cycle)
+        for verdict in verdicts:
+            assert (verdict.arm, verdict.joint) == (arm, joint)
+            assert verdict.value == pytest.approx(abs(error))
+            assert verdict.limit == rig.gate.envelope.arms[arm].tracking[joint]
+        actions.append(worst(verdicts))
+    return actions
+
+
+@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("joint", JOINTS)
+@pytest.mark.parametrize("side", SIGNS)
+@pytest.mark.parametrize(
+    ("part", "action"),
+    [
+        (0.5, Action.PASS),
+        (1.0, Action.PASS),
+        (1.000001, Action.STOP),
+        (2.0, Action.STOP),
+        (2.000001, Action.FAULT),
+        (50.0, Action.FAULT),
+    ],
+)
+def test_s17_stops_and_faults_on_a_tracking_error_that_lasts(arm, joint, side, part, action):
+    rig = Rig()
+    error = side * part * rig.gate.envelope.arms[arm].tracking[joint]
+    actions = tracked(rig, made("S17"), arm, joint, error, 20)
+    assert actions[:12] == [Action.PASS] * 12  # 48 ms
+    assert actions[12:] == [action] * 8
+
+
+def test_s17_tolerances_are_those_of_the_arms_file():
+    tracking = Rig().gate.envelope.arms[0].tracking
+    assert tracking == (0.05, 0.05, 0.003, 0.1, 0.1, 0.1)
+
+
+@pytest.mark.parametrize(("off", "on", "stops"), [(10, 60, False), (10, 12, True), (12, 1, True)])
+def test_s17_an_error_that_comes_and_goes_still_acts(off, on, stops):
+    """It gives its time back four times slower than it spends it."""
+    rig, rule, actions = Rig(), made("S17"), []
+    for _ in range(10):
+        actions += tracked(rig, rule, 0, 1, 0.06, off)
+        actions += tracked(rig, rule, 0, 1, 0.01, on)
+    assert (Action.STOP in actions) is stops
+
+
+def test_s17_one_sample_after_a_pause_counts_for_the_whole_pause():
+    assert tracked(Rig(), made("S17"), 0, 0, 0.06, 1, dt=0.0501) == [Action.STOP]
+    assert tracked(Rig(), made("S17"), 0, 0, 0.06, 1, dt=0.05) == [Action.PASS]
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_s17_does_not_look_at_the_jaw(arm):
+    rig = Rig()
+    rig.broken[arm] = {"jaw_measured_jp": 1.0}
+    rule, cycle = made("S17"), cycle_of(rig)
+    for _ in range(30):
+        assert words(rule, cycle) == []
+
+
+def test_s17_a_far_error_is_a_fault_once_it_lasts_itself():
+    rig, rule = Rig(), made("S17")
+    actions = tracked(rig, rule, 0, 0, 0.06, 20) + tracked(rig, rule, 0, 0, 0.2, 14)
+    assert actions[12:32] == [Action.STOP] * 20
+    assert actions[32:] == [Action.FAULT] * 2
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_s17_is_a_fault_when_it_has_ended_a_run_before(arm):
+    rule, cycle = made("S17"), cycle_of(rig_with(arm, "measured_jp", 0, 0.9))
+    cycle.dt = 0.06
+    for before, action in [((), Action.STOP), (("S10",), Action.STOP), (("S17",), Action.FAULT)]:
+        rule, cycle.stopped_before = made("S17"), frozenset(before)
+        cycle.tracks[arm].q = replaced(cycle.tracks[arm].q, 0, 0.82)
+        assert worst(words(rule, cycle)) is action
+
+
+SILENCE = [
+    (0.0, Action.PASS),
+    (0.1, Action.PASS),
+    (0.2, Action.PASS),
+    (0.2001, Action.HOLD),
+    (2.0, Action.HOLD),
+    (2.0001, Action.STOP),
+    (1e9, Action.STOP),
+]
+
+
+def consented(rig: Rig) -> tuple:
+    """The rule and a cycle in which the operator has just agreed."""
+    rig.consent = True
+    cycle, rule = cycle_of(rig), made("S22")
+    assert words(rule, cycle) == []
+    cycle.is_first = False
+    return rule, cycle
+
+
+def later(rig: Rig, cycle: Cycle, dt: float = PERIOD) -> Cycle:
+    rig.now += dt
+    cycle.begin(rig.state(), Request(rig.stay()), rig.now)
+    return cycle
+
+
+@pytest.mark.parametrize("side", SIGNS)
+@pytest.mark.parametrize(("age", "action"), SILENCE)
+def test_s22_by_the_age_of_a_streamed_word_before_or_ahead_of_the_clock(side, age, action):
+    rig = Rig()
+    rule, cycle = consented(rig)
+    rig.now += age
+    rig.said = {"consent_stamp_s": rig.now - side * age}
+    verdicts = words(rule, later(rig, cycle, 0.0))
+    assert worst(verdicts) is action
+    assert all(v.value == pytest.approx(age) and v.arm == -1 for v in verdicts)
+
+
+@pytest.mark.parametrize("what", ["alive", "arm 0", "arm 1"])
+@pytest.mark.parametrize(("age", "action"), SILENCE)
+def test_s22_an_old_edge_is_good_while_its_publisher_and_the_arms_live(what, age, action):
+    rig = Rig()
+    rig.said = {"consent_is_streamed": False, "consent_stamp_s": 0.0, "consent_alive_s": rig.now}
+    rule, cycle = consented(rig)
+    rig.now += age
+    if what == "alive":
+        rig.said["consent_alive_s"] = rig.now - age
+    else:
+        rig.said["consent_alive_s"] = rig.now
+        rig.broken[int(what[-1])] = {"stamp_s": rig.now - age}
+    assert worst(words(rule, later(rig, cycle, 0.0))) is action
+
+
+def test_s22_a_streamed_word_does_not_need_the_arms():
+    rig = Rig()
+    rule, cycle = consented(rig)
+    rig.broken[0] = {"stamp_s": rig.now - 1.0}
+    assert words(rule, later(rig, cycle)) == []
+
+
+@pytest.mark.parametrize("streamed", [False, None, 1, "yes"])
+def test_s22_a_source_that_is_not_known_to_repeat_its_word_has_to_show_that_it_lives(streamed):
+    rig = Rig()
+    rule, cycle = consented(rig)
+    rig.said = {"consent_is_streamed": streamed}
+    assert worst(words(rule, later(rig, cycle))) is Action.HOLD
+    rig.said["consent_alive_s"] = rig.now + PERIOD
+    assert words(rule, later(rig, cycle)) == []
+
+
+@pytest.mark.parametrize("consent", [False, None, 1, "yes", np.True_])
+def test_s22_holds_at_once_when_consent_is_withdrawn_and_stops_after_two_seconds(consent):
+    rig = Rig()
+    rule, cycle = consented(rig)
+    rig.consent, start, first = consent, rig.now, {}
+    for _ in range(600):
+        (verdict,) = words(rule, later(rig, cycle))
+        first.setdefault(verdict.action, verdict)
+    assert first[Action.HOLD].value == pytest.approx(PERIOD)
+    assert first[Action.HOLD].limit == 0.0
+    assert first[Action.STOP].value == pytest.approx(2.0, abs=1.01 * PERIOD)
+    assert list(first) == [Action.HOLD, Action.STOP]
+    rig.consent = True
+    assert words(rule, later(rig, cycle)) == []
+    assert rig.now > start
+
+
+def test_s22_consent_comes_from_the_source_that_the_run_began_with():
+    rig = Rig()
+    rule, cycle = consented(rig)
+    rig.said = {"consent_source": "pedal"}
+    (verdict,) = words(rule, later(rig, cycle))
+    assert (verdict.action, verdict.limit) == (Action.HOLD, 0.0)
+    cycle.is_first = True  # an operator has resumed, with the pedal
+    assert words(rule, later(rig, cycle)) == []
+
+
+@pytest.mark.parametrize("streamed", [True, False])
+@pytest.mark.parametrize("field", ["consent_stamp_s", "consent_alive_s"])
+@pytest.mark.parametrize("value", BAD_NUMBERS + WRONG_TYPES)
+def test_s22_a_stamp_that_is_no_finite_float_is_no_consent(streamed, field, value):
+    rig = Rig()
+    rig.said = {"consent_is_streamed": streamed, "consent_alive_s": rig.now}
+    rule, cycle = consented(rig)
+    rig.said = {**rig.said, "consent_alive_s": rig.now + PERIOD, field: value}
+    matters = field == "consent_stamp_s" or not streamed
+    assert worst(words(rule, later(rig, cycle))) is (Action.HOLD if matters else Action.PASS)
+
+
+def test_s22_does_not_arm_without_ever_having_heard_a_fresh_word():
+    rig = Rig()
+    rig.consent, rig.said = True, {"consent_stamp_s": rig.now - 1.0}
+    assert worst(words(made("S22"), cycle_of(rig))) >= Action.HOLD
+
+
 # S16 - S24, S32: the line, time, the robot ----------------------------------------------------
 
 

@@ -132,6 +132,7 @@ def test_s29_a_rehearsal_keeps_the_smallest_margin_to_every_rule():
     assert set(rehearsal.margins) == set(rig.gate.rules)
     assert set(rehearsal.margins.values()) == {1.0}
     assert rehearsal.begin(refused, agreed, rig.now) == ()
+    rig.consent = True
     half = WIDTHS[3] / 2 + ROOM[3]
     for index, part in enumerate([0.2, 0.75, 0.5]):
         request = Request(rig.stay(), observation=but(3, 0.3 + part * half))

@@ -369,6 +369,36 @@ def test_over_the_speed_ceiling_the_run_ends():
     assert rig.gate.resume(rig.state(), rig.now) != ()
 
 
+def test_a_run_stops_when_the_operator_lets_go_and_goes_on_with_the_same_source_only():
+    rig = Rig.running()
+    rig.swing(40)
+    rig.consent = False
+    first = rig.ask(rig.going_on())
+    assert (first.action, reasons(first.verdicts)) == (Action.HOLD, {"S22"})
+    rig.rest()
+    rig.consent = True
+    for _ in range(60):
+        rig.ask(rig.stay())
+    assert rig.gate.resume(rig.state(), rig.now) == ()
+    rig.run()
+    rig.said = {"consent_source": "another"}
+    assert reasons(rig.ask(rig.stay()).verdicts) == {"S22"}
+
+
+def test_a_second_run_that_ends_on_its_tracking_error_is_a_fault():
+    rig, modes = Rig.running(), []
+    for _ in range(3):
+        rig.broken[0] = {"measured_jp": (rig.held[0].jp[0] + 0.06, *rig.held[0].jp[1:])}
+        for _ in range(20):
+            rig.ask(rig.stay())
+        modes.append(rig.gate.mode)
+        rig.broken.clear()
+        assert rig.gate.reset(rig.now) is Mode.CONNECTED
+        assert rig.arm() == ()
+        rig.run()
+    assert modes == [Mode.HOLDING, Mode.FAULT, Mode.FAULT]
+
+
 class Jolt:
     """A stop that goes on and then jumps: what no stop may be."""
 
