@@ -7,6 +7,7 @@ import enum
 import itertools
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,13 +16,14 @@ import typer
 from rich.console import Console
 
 from viskill_deploy.core.clock import wall_time
-from viskill_deploy.core.errors import RecordingError, SafetyStop, ViskillError
+from viskill_deploy.core.errors import Interrupted, RecordingError, SafetyStop, ViskillError
 from viskill_deploy.observe.recording import Recorder
 from viskill_deploy.observe.report import write_report
 from viskill_deploy.observe.starts import remarks
 from viskill_deploy.observe.tables import print_tables, progress
 from viskill_deploy.observe.video import Video, render_video
 from viskill_deploy.runtime.dry_run import DryRunOptions, dry_run
+from viskill_deploy.runtime.faults import Injection, parse_fault
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.preflight import Prepared, prepare
 from viskill_deploy.sim.world import WorldOptions
@@ -97,6 +99,13 @@ def command(
     stuck_joint: Annotated[
         str, typer.Option(help="A joint that does not move, such as PSM1/yaw.")
     ] = "",
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Something that goes wrong, as name@start[:duration] in seconds, such as "
+            "drop@2.0:0.3; may be given again. `viskill faults` lists them."
+        ),
+    ] = None,
     require_success: Annotated[
         float, typer.Option(min=0, max=1, help="Exit 1 below this success rate.")
     ] = 0.0,
@@ -138,18 +147,19 @@ def command(
         real_time=realtime,
         ik_solver=ik_solver,
         speed=speed,
+        faults=_faults(fault or (), mode),
     )
     folder = _new_folder(output, prepared.bundle.manifest.name)
     console = Console(stderr=json_)
     figures, failure = _run(prepared, options, folder, console)
     report = _report(prepared, figures, folder, video, console)
     _show(figures, folder, report, json_, console)
-    if failure is not None:
-        raise failure
-    if figures["interventions"]:
+    if figures["interventions"] and not isinstance(failure, Interrupted):
         raise SafetyStop(
             f"the gate stepped in {figures['interventions']} times; see {report} for rule and time"
-        )
+        ) from failure
+    if failure is not None:
+        raise failure
     if figures["success_rate"] < require_success:
         print(
             f"viskill: success {figures['success_rate']:.2f} is below the required "
@@ -167,6 +177,21 @@ def _check(prepared: Prepared, distribution: str | None, ik_solver: str) -> None
     solvers = qpsolvers.available_solvers
     if ik_solver not in solvers:
         raise typer.BadParameter(f"installed QP solvers: {', '.join(solvers)}")
+
+
+def _faults(texts: Sequence[str], mode: ModeName) -> tuple[Injection, ...]:
+    """The faults that are asked for, if they can happen in such a run."""
+    try:
+        faults = tuple(parse_fault(text) for text in texts)
+    except ValueError as error:
+        raise typer.BadParameter(f"--fault {error}") from error
+    names = {injection.fault.name for injection in faults}
+    thinking = names & {"slow-policy", "hung-policy"}
+    if thinking and mode is ModeName.PLAN:
+        raise typer.BadParameter(
+            f"--fault {min(thinking)}: a plan is made before anything moves; leave --mode plan out"
+        )
+    return faults
 
 
 def _new_folder(output: Path | None, name: str) -> Path:

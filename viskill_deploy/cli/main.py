@@ -22,6 +22,7 @@ from viskill_deploy.cli import (
     dry_run,
     evaluate,
     export,
+    faults,
     inspect,
     reproduce,
     sweep,
@@ -39,6 +40,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("dry-run", epilog=dry_run.EXAMPLE)(dry_run.command)
+app.command("faults", epilog=faults.EXAMPLE)(faults.command)
 app.command("inspect", epilog=inspect.EXAMPLE)(inspect.command)
 app.command("doctor", epilog=doctor.EXAMPLE)(doctor.command)
 app.command("train", epilog=train.EXAMPLE)(train.command)

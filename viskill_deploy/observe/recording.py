@@ -96,6 +96,11 @@ class Recorder:
         """
         return not self._failed
 
+    @property
+    def process_id(self) -> int:
+        """The recorder's process."""
+        return self._process.pid
+
     def cycle(
         self,
         now: float,

@@ -15,6 +15,7 @@ from markupsafe import Markup
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import RecordingError
 from viskill_deploy.observe import figures
+from viskill_deploy.observe.faults import struck_rows
 from viskill_deploy.observe.labels import action_label, rule_label
 from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.observe.records import RunData
@@ -67,6 +68,7 @@ def write_report(
         result=result,
         facts=facts(result),
         skills=skill_rows(result),
+        faults=struck_rows(result),
         starts=start_rows(result, shown),
         shown=shown,
         margins=margin_rows(result),

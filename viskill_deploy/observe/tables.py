@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from viskill_deploy.observe.faults import struck_rows
 from viskill_deploy.observe.starts import Result
 from viskill_deploy.observe.summary import SkillRow, facts, margin_rows, skill_rows
 
@@ -37,6 +38,8 @@ def print_tables(result: Result, console: Console) -> None:
         console.print(_skill_table(result))
     if margin_rows(result):
         console.print(_margin_table(result))
+    if struck_rows(result):
+        console.print(_fault_table(result))
     for note in result.get("notes") or ():
         console.print(f"note: {note}", markup=False, style="yellow")
 
@@ -51,6 +54,8 @@ def plain_lines(result: Result) -> Iterator[str]:
     for margin in margin_rows(result):
         where = f" at {margin.where}" if margin.where else ""
         yield f"smallest margin to {margin.label}: {margin.text}{where}"
+    for row in struck_rows(result):
+        yield f"fault {row.fault}: {row.what}; declared: {row.declared}; seen: {row.seen}"
     for note in result.get("notes") or ():
         yield f"note: {note}"
 
@@ -100,6 +105,16 @@ def _margin_table(result: Result) -> Table:
     table.add_column("where")
     for row in margin_rows(result):
         table.add_row(row.label, row.text, row.where, style="red" if row.margin < 0 else "")
+    return table
+
+
+def _fault_table(result: Result) -> Table:
+    table = Table(title="Faults", title_justify="left")
+    table.add_column("fault", style="bold")
+    for name in ("what happened", "declared", "seen"):
+        table.add_column(name)
+    for row in struck_rows(result):
+        table.add_row(*row)
     return table
 
 

@@ -23,6 +23,8 @@ from viskill_deploy.core.errors import (
 from viskill_deploy.core.types import Mode as GateMode
 from viskill_deploy.drivers import loopback, loopback_served
 from viskill_deploy.runtime.episodes import Job, closed_loop, planned
+from viskill_deploy.runtime.fault_injection import FaultInjector
+from viskill_deploy.runtime.faults import Injection
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.preflight import Prepared
@@ -45,6 +47,7 @@ class DryRunOptions:
         world: control period, noise and delay of the simulated cell.
         real_time: the loopback runs as a process of its own, against the clock.
         speed: part of the planned tip speed to use, in (0, 1].
+        faults: what goes wrong on the way.
     """
 
     episodes: int = 1
@@ -55,6 +58,7 @@ class DryRunOptions:
     real_time: bool = False
     ik_solver: str = "daqp"
     speed: float = 1.0
+    faults: tuple[Injection, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -90,10 +94,17 @@ def dry_run(
     failure: ViskillError | None = None
     connect = loopback_served.connect if options.real_time else loopback.connect
     driver = connect(prepared.cell, options.world, options.seed)
+    faults: FaultInjector | None = None
     line = Line(prepared.cell, driver.period_s, options.ik_solver, options.speed)
     training = prepared.bundle.manifest.training_range.seen
+    if options.faults:
+        faults = FaultInjector(options.faults, driver, recorder)
+        driver, recorder = faults.driver, faults.recorder
+        line = faults.line(prepared.cell, options.ik_solver, options.speed)
     session = Session(prepared.cell, driver, line, recorder, training)
     with session, interruptible(session):
+        if faults is not None:
+            session.thinking_s = faults.thinking_s
         if options.real_time:
             notes += realtime.refusals()
         for note in notes:
@@ -106,7 +117,9 @@ def dry_run(
         except ViskillError as error:
             failure = error
         wall = clock.now() - began
-    return Outcome(_figures(prepared, options, session, wall, notes), failure)
+    figures = _figures(prepared, options, session, wall, notes)
+    figures["faults"] = [struck.facts() for struck in faults.struck] if faults else []
+    return Outcome(figures, failure)
 
 
 def _go_on(session: Session) -> None:

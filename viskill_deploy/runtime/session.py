@@ -48,6 +48,11 @@ SCENE_PERIOD_S = 0.02
 LAST_CYCLES = 5
 """The last sample of a motion that ends at rest still moves by a micrometre; more are sent."""
 
+MISSED = 2
+"""Cycles whose setpoints may fail to arrive, one after the other, before the rest of them are kept
+back. An arm that has heard nothing for longer is at rest where it was: what the gate says by then
+would be a leap for it."""
+
 STOP_S = 2.0
 """Time that the gate's own stop gets before the session gives up waiting for rest."""
 
@@ -58,6 +63,11 @@ class Recorder(Protocol):
     @property
     def alive(self) -> bool:
         """Whether the record is being kept."""
+        ...
+
+    @property
+    def process_id(self) -> int:
+        """The process that writes it."""
         ...
 
     def cycle(
@@ -110,6 +120,7 @@ class Session:
     Attributes:
         cause: id of the rule for which the gate first stepped in since `begin`; "" if it did not.
         is_stop_wanted: a person has asked for the end of the run.
+        thinking_s: how much longer the policy takes to decide than it does by itself; for tests.
     """
 
     def __init__(
@@ -128,7 +139,8 @@ class Session:
         self._links = CellLinks(cell)
         self._scene_due_s = 0.0
         self.overruns, self.cause = 0, ""
-        self._deadline = 0.0
+        self.thinking_s: Callable[[], float] = lambda: 0.0
+        self._deadline, self._missed = 0.0, 0
         self._waypoint: Waypoint | None = None
         self._is_stopping, self._at_rest, self._is_moving = False, False, False
         self.is_stop_wanted = False
@@ -193,7 +205,7 @@ class Session:
         if not self.driver.capabilities.stepped:
             realtime.prepare()
             self._deadline = self.driver.clock.now()
-        self._state, self._waypoint, self.cause = state, None, ""
+        self._state, self._waypoint, self.cause, self._missed = state, None, "", 0
         self._is_stopping, self._at_rest, self._is_moving = False, False, True
 
     def finish(self) -> None:
@@ -247,7 +259,8 @@ class Session:
         mode, verdicts = decision.mode, decision.verdicts
         # a faulty arm may report numbers that have no pose
         tips = self.tips(state) if decision.action < Action.FAULT else None
-        self.recorder.cycle(now, state, request, sent, decision.action, verdicts, mode, tips)
+        gone_out = () if self._missed else sent
+        self.recorder.cycle(now, state, request, gone_out, decision.action, verdicts, mode, tips)
         self._record_scene(now)
         self.ledger.cycle(sent, decision.action, decision.margins)
         self.line.advance(decision.speed_scale)
@@ -293,13 +306,21 @@ class Session:
         """Sends what the gate decided; an emergency stop takes the power away, come what may."""
         if decision.action is Action.ESTOP:
             self._try(self.driver.disable, now)
-        self._try(lambda: self.driver.servo_jp(decision.setpoints), now)
+        if self._missed > MISSED:
+            self._try(self.driver.hold, now)
+        elif self._try(lambda: self.driver.servo_jp(decision.setpoints), now):
+            self._missed = 0
+        else:
+            self._missed += 1
 
-    def _try(self, call: Callable[[], None], now: float) -> None:
+    def _try(self, call: Callable[[], None], now: float) -> bool:
+        """Whether the driver did it; a driver that fails is reported to the gate."""
         try:
             call()
         except DriverError:
             self.gate.report_fault("S24", now)
+            return False
+        return True
 
     def _note(self, decision: Decision) -> None:
         """Remembers what the gate first stepped in for, and whether its stop is over."""
@@ -328,7 +349,9 @@ class Session:
                     self.recorder.scene(now, scene)
 
     def _wait_for_next_period(self) -> None:
-        self._deadline += self.driver.period_s
+        # a clock that has gone back (S21) must not let the arms wait for it to catch up
+        soonest = self.driver.clock.now() + self.driver.period_s
+        self._deadline = min(self._deadline + self.driver.period_s, soonest)
         woke = self.driver.clock.sleep_until(self._deadline)
         late = woke - self._deadline
         if late > self.driver.period_s:  # a missed period is not made up for by a burst

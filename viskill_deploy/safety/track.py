@@ -11,6 +11,8 @@ from viskill_deploy.safety.envelope import ROUNDING, ArmEnvelope
 from viskill_deploy.safety.geometry import Point
 from viskill_deploy.safety.stopping import ArmStop, Motion
 
+OLDEST_S = 0.1
+"""Feedback of this age is a fault by itself (S18): what was sent before that needs no keeping."""
 JERK_ROUNDING = 1e-7
 """Relative width of the jerk limits: third differences of positions at 1 kHz carry 2e-8 of them."""
 NOWHERE: Point = (0.0, 0.0, 0.0)
@@ -28,7 +30,7 @@ class ArmTrack:
         index: of the arm in the cell.
         envelope: what it may do.
         sent: the last setpoint that went out; `recent` holds those that its driver may still
-            report, newest last.
+            report, newest last, and `latency` is how far behind it may be with a new sample, s.
         q: positions of what was sent, (7,) with the jaw last.
         step, bend: first and second difference of `q` over the last periods: speed times period,
             acceleration times period squared.
@@ -59,6 +61,7 @@ class ArmTrack:
         "jaw_end",
         "jerk",
         "jerkiest",
+        "latency",
         "point",
         "point_speed",
         "q",
@@ -80,8 +83,10 @@ class ArmTrack:
         self._per_full_step = [unit / x for x in envelope.max_speed]
         self._per_full_bend = [unit_2 / x for x in envelope.max_acceleration]
         self._per_full_jerk = [(1.0 - JERK_ROUNDING) / period**3 / x for x in envelope.max_jerk]
-        latency = 2.0 * max(period, envelope.feedback_period)
-        self.recent: deque[JointSetpoint] = deque(maxlen=1 + ceil(latency / period))
+        self.latency = 2.0 * max(period, envelope.feedback_period)
+        self.recent: deque[JointSetpoint] = deque(
+            maxlen=1 + ceil((self.latency + OLDEST_S) / period)
+        )
         self.begin(NO_SETPOINT)
 
     def begin(self, setpoint: JointSetpoint) -> None:

@@ -905,9 +905,26 @@ def test_s24_knows_setpoints_that_are_two_feedback_periods_old_and_no_older():
     for k in range(1, 8):
         cycle.tracks[0].ask(rig.moved(0, 0, 0.02 * k)[0])
         cycle.tracks[0].accept()
-        rig.broken[0] = {"setpoint_jp": first.jp}
-        cycle.begin(rig.state(), Request(rig.stay()), rig.now + k * PERIOD)
+        now = rig.now + k * PERIOD
+        rig.broken[0] = {"setpoint_jp": first.jp, "stamp_s": now}
+        cycle.begin(rig.state(), Request(rig.stay()), now)
         assert worst(words(made("S24"), cycle)) is (Action.FAULT if k > 5 else Action.PASS)
+
+
+@pytest.mark.parametrize(("late", "foreign"), [(0, 0), (10, 0), (25, 0), (-1, 1)])
+def test_s24_holds_an_old_sample_against_what_was_sent_before_it(late, foreign):
+    rig = Rig()
+    cycle = cycle_of(rig)
+    for k in range(1, 31):
+        cycle.tracks[0].ask(rig.moved(0, 0, 0.02 * k)[0])
+        cycle.tracks[0].accept()
+    now = rig.now + 30 * PERIOD
+    held = rig.moved(0, 0, 0.02 * (30 - max(late, 10)))[0]
+    rig.broken[0] = {"setpoint_jp": held.jp, "stamp_s": now - late * PERIOD}
+    if late == 0:
+        rig.broken[0]["setpoint_jp"] = rig.moved(0, 0, 0.02 * 26)[0].jp
+    cycle.begin(rig.state(), Request(rig.stay()), now)
+    assert worst(words(made("S24"), cycle)) is (Action.FAULT if foreign else Action.PASS)
 
 
 @pytest.mark.parametrize("rule_id", sorted(RULES))

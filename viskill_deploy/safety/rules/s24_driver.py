@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import inf
+from itertools import islice
+from math import ceil, inf
 from operator import sub, truediv
 from typing import ClassVar
 
@@ -23,13 +24,16 @@ CLOSE = 0.1
 
 
 class Rule:
-    """FAULT on a setpoint in the driver that is none of those sent lately."""
+    """FAULT on a setpoint in the driver that is none of those sent shortly before its sample.
+
+    How old a sample may be is for S18 to say: an old one tells what the driver held then.
+    """
 
     id: ClassVar[str] = "S24"
     needs: ClassVar[Needs] = Needs.STATE
 
     def __init__(self, cell: CellEnvelope) -> None:
-        del cell  # the tolerance is one for all cells
+        self._period = cell.period
 
     def margin(self, cycle: Cycle) -> float:
         """One minus the distance to the nearest setpoint sent, as a part of the tolerance."""
@@ -37,29 +41,29 @@ class Rule:
         for arm, track in zip(cycle.state.arms, cycle.tracks, strict=True):
             sent = track.sent
             if arm.setpoint_jp != sent.jp or arm.jaw_setpoint_jp != sent.jaw:
-                parts.append(_nearest(arm, track))
+                parts.append(self._nearest(cycle, arm, track))
         return 1.0 - max(parts)
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """One verdict an arm; the value is the distance as a part of the tolerance."""
         for arm, track in zip(cycle.state.arms, cycle.tracks, strict=True):
-            part = _nearest(arm, track)
+            part = self._nearest(cycle, arm, track)
             if part > 1.0:
                 yield Verdict(self.id, Action.FAULT, track.index, -1, part, 1.0)
 
+    def _nearest(self, cycle: Cycle, arm: ArmState, track: ArmTrack) -> float:
+        """Distance to the nearest of the recent setpoints, or to the newest that is close.
 
-def _nearest(arm: ArmState, track: ArmTrack) -> float:
-    """Distance to the nearest of the recent setpoints, or to the newest that is close.
-
-    The jaw may lag by another number of cycles than the arm: it has its own topic.
-    """
-    joints = jaw = inf
-    for sent in reversed(track.recent):
-        if joints > CLOSE:
-            joints = min(joints, _distance(arm, sent))
-        if jaw > CLOSE:
-            jaw = min(jaw, abs(arm.jaw_setpoint_jp - sent.jaw) / JAW_TOLERANCE)
-    return max(joints, jaw)
+        The jaw may lag by another number of cycles than the arm: it has its own topic.
+        """
+        joints = jaw = inf
+        late = track.latency + max(cycle.now - arm.stamp_s, 0.0)
+        for sent in islice(reversed(track.recent), 1 + ceil(late / self._period)):
+            if joints > CLOSE:
+                joints = min(joints, _distance(arm, sent))
+            if jaw > CLOSE:
+                jaw = min(jaw, abs(arm.jaw_setpoint_jp - sent.jaw) / JAW_TOLERANCE)
+        return max(joints, jaw)
 
 
 def _distance(arm: ArmState, sent: JointSetpoint) -> float:
