@@ -92,3 +92,8 @@ def _read_wrong(
 ) -> RevoluteJoint | PrismaticJoint:
     key = "offset_m" if joint.type == "prismatic" else "offset_rad"
     return joint.model_copy(update={key: joint.offset + offset})
+
+
+def without_cables(cell: CellDescription) -> CellDescription:
+    """The same cell with cables that neither play nor stretch: for simulators that have none."""
+    return replace(cell, arms=tuple(replace(arm, cables=STIFF) for arm in cell.arms))

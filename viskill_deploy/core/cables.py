@@ -14,6 +14,9 @@ WRIST = slice(3, 6)
 ROUNDS = 4
 """Rounds of taking the stretch off: it is a few percent, so four leave 1e-6 of it."""
 
+STILL_RAD = 1e-4
+"""A wrist joint that is told to move by less has not turned."""
+
 
 @dataclass(frozen=True, slots=True)
 class Cables:
@@ -48,6 +51,27 @@ class Cables:
         for _ in range(ROUNDS):
             command[..., WRIST] = q[..., WRIST] - self.error(command, turns)
         return command
+
+    def follow(
+        self, q: FloatArray, told: FloatArray, turns: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """The joints to command next, (6,), and which way the wrist then has turned, (3,).
+
+        Args:
+            q: where the joints shall be, (6,).
+            told: what was commanded before, (6,).
+            turns: which way the wrist had moved to get there, (3,).
+        """
+        change = self.reported(q, turns)[WRIST] - told[WRIST]
+        turns = np.where(np.abs(change) > STILL_RAD, np.sign(change), turns)
+        return self.reported(q, turns), turns
+
+    def along(self, q: FloatArray) -> FloatArray:
+        """Commands for a path (n, 6) whose first row is where the joints are told to be now."""
+        commands, turns = np.array(q), np.zeros(3)
+        for i in range(1, len(q)):
+            commands[i], turns = self.follow(q[i], commands[i - 1], turns)
+        return commands
 
 
 STIFF = Cables()

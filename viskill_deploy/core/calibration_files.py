@@ -14,6 +14,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AwareDatetime, Field, ValidationError, field_validator
 
+from viskill_deploy.core.arm_errors import ArmErrors, shifted
+from viskill_deploy.core.cables import Cables
 from viskill_deploy.core.cell_files import SIMULATED
 from viskill_deploy.core.description import CellArm, CellDescription
 from viskill_deploy.core.errors import CalibrationError
@@ -28,6 +30,8 @@ ORTHONORMAL = 1e-6
 AGAIN = "calibrate the cell again"
 
 Row = tuple[float, float, float, float]
+Three = tuple[float, float, float]
+Six = tuple[float, float, float, float, float, float]
 
 
 class ArmCalibration(Table):
@@ -38,6 +42,11 @@ class ArmCalibration(Table):
         tool: the instrument that was in it.
         T_task_base: pose of its base (its RCM frame) in the task frame, m.
         port_in_base_m: registered port; that of the cell's file when it is not given.
+        joint_offset: true minus reported joints, (6,), rad and m.
+        tool_length_m: true minus nominal length of the instrument's shaft.
+        backlash_rad, coupling: play and stretch of the wrist's cables, see `core.cables`.
+        delay_s: how much older its joints are than the measured points' stamps say.
+        sigma: standard deviation of what was fitted, by name.
         residual_rms_m: root mean square distance of the held-out points after the fit.
         samples: how many points were measured.
     """
@@ -48,6 +57,12 @@ class ArmCalibration(Table):
     tool: str
     T_task_base: tuple[Row, Row, Row, Row]
     port_in_base_m: Vector3 | None = None
+    joint_offset: Six = (0.0,) * 6
+    tool_length_m: float = 0.0
+    backlash_rad: Three = (0.0,) * 3
+    coupling: tuple[Three, Three, Three] = ((0.0,) * 3,) * 3
+    delay_s: float = 0.0
+    sigma: dict[str, NonNegative] = Field(default_factory=dict)
     residual_rms_m: NonNegative
     samples: int = Field(gt=0)
 
@@ -111,7 +126,7 @@ def write_calibration(path: Path, calibration: CalibrationFile) -> Path:
 
 
 def calibrated(cell: CellDescription, calibration: CalibrationFile, path: Path) -> CellDescription:
-    """The cell with its arms, and their ports, where the calibration says.
+    """The cell with its arms, and their ports, as the calibration says.
 
     Raises:
         CalibrationError: it was made for another cell, or other arms or instruments; names them.
@@ -129,7 +144,7 @@ def calibrated(cell: CellDescription, calibration: CalibrationFile, path: Path) 
     arms = tuple(
         _placed(arm, entry) for arm, entry in zip(cell.arms, calibration.arms, strict=True)
     )
-    return replace(cell, arms=arms, files=(*cell.files, path))
+    return replace(cell, arms=arms, files=(*cell.files, path), filed=cell)
 
 
 def is_simulated(cell: CellDescription) -> bool:
@@ -142,7 +157,14 @@ def _placed(arm: CellArm, measured: ArmCalibration) -> CellArm:
     T.flags.writeable = False
     port = measured.port_in_base_m or arm.entry.port_in_base_m
     entry = arm.entry.model_copy(update={"port_in_base_m": port})
-    return replace(arm, T_task_base=T, entry=entry)
+    errors = ArmErrors(joint_offset=measured.joint_offset, tool_length_m=measured.tool_length_m)
+    return replace(
+        arm,
+        arm=shifted(arm.arm, errors),
+        T_task_base=T,
+        entry=entry,
+        cables=Cables(measured.backlash_rad, measured.coupling),
+    )
 
 
 def _arms(arms: list[tuple[str, str, str, str]]) -> str:

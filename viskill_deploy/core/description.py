@@ -88,12 +88,17 @@ class CellArm:
 
 @dataclass(frozen=True)
 class CellDescription:
-    """A cell: arms in their places, speed limits, and the board."""
+    """A cell: arms in their places, speed limits, and the board.
+
+    Attributes:
+        filed: the cell as its files alone have it, where this one was calibrated.
+    """
 
     name: str
     arms: tuple[CellArm, ...]
     file: CellFile
     files: tuple[Path, ...]
+    filed: CellDescription | None = None
 
 
 def rpy_matrix(roll: float, pitch: float, yaw: float) -> FloatArray:

@@ -70,7 +70,7 @@ class LoopbackDriver:
     def __init__(
         self, cell: CellDescription, options: WorldOptions | None = None, seed: int = 0
     ) -> None:
-        self.world = World(cell, options, seed)
+        self.world = World(cell.filed or cell, options, seed)  # no calibration moves a real arm
         self.period_s = self.world.options.period_s
         self._time = _WorldClock(self)
         self.clock: Clock = self._time

@@ -9,10 +9,11 @@ its place, and the server ends with its last client.
 from __future__ import annotations
 
 import argparse
-import json
 import selectors
 import socket
 from pathlib import Path
+
+from pydantic import TypeAdapter
 
 from viskill_deploy.core import realtime
 from viskill_deploy.core.clock import MonotonicClock
@@ -163,9 +164,9 @@ def main() -> None:
     parser.add_argument("--cell", required=True)
     parser.add_argument("--socket", type=Path, required=True)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--options", type=json.loads, default={}, help="WorldOptions, as JSON")
+    parser.add_argument("--options", default="{}", help="WorldOptions, as JSON")
     args = parser.parse_args()
-    options = WorldOptions(**args.options)
+    options = TypeAdapter(WorldOptions).validate_json(args.options)
     world = World(load_cell(args.cell), options, args.seed)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
         listener.bind(str(args.socket))

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from viskill_deploy.core.cables import STIFF, WRIST
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import FloatArray, Waypoint
 from viskill_deploy.kinematics.arm import Arm
@@ -29,12 +30,16 @@ class CellLinks:
         self.arms = [Arm(entry.arm) for entry in cell.arms]
         self._T_task_base = [entry.T_task_base for entry in cell.arms]
         self._T_base_task = [np.linalg.inv(T) for T in self._T_task_base]
+        self._cables = [entry.cables for entry in cell.arms]
+        self._turns = [np.zeros(3) for _ in cell.arms]  # which way each wrist was sent last
 
     def tips(self, joints: Sequence[Sequence[float]]) -> list[FloatArray]:
-        """T_task_tip of every arm for its joints (6,), (4, 4) each."""
+        """T_task_tip of every arm for its reported joints (6,), (4, 4) each."""
         return [
-            T @ arm.forward(q).homogeneous
-            for T, arm, q in zip(self._T_task_base, self.arms, joints, strict=True)
+            T @ arm.forward(self._true(index, q)).homogeneous
+            for index, (T, arm, q) in enumerate(
+                zip(self._T_task_base, self.arms, joints, strict=True)
+            )
         ]
 
     def targets(self, waypoint: Waypoint, start: Sequence[AxisMotion]) -> list[list[float]]:
@@ -44,8 +49,31 @@ class CellLinks:
             NoSolutionError: the waypoint is out of an arm's reach.
         """
         return [
-            [*arm.inverse(back @ T, motion.p[:6]).tolist(), jaw]
-            for arm, back, T, motion, jaw in zip(
-                self.arms, self._T_base_task, waypoint.T_task_tip, start, waypoint.jaw, strict=True
+            [*self._told(index, arm.inverse(back @ T, motion.p[:6]), motion), jaw]
+            for index, (arm, back, T, motion, jaw) in enumerate(
+                zip(
+                    self.arms,
+                    self._T_base_task,
+                    waypoint.T_task_tip,
+                    start,
+                    waypoint.jaw,
+                    strict=True,
+                )
             )
         ]
+
+    def _true(self, arm: int, q: Sequence[float]) -> Sequence[float] | FloatArray:
+        """Where the joints are when they are reported at `q`."""
+        cables = self._cables[arm]
+        if cables == STIFF:
+            return q
+        true = np.array(q)
+        true[WRIST] += cables.error(true, self._turns[arm])
+        return true
+
+    def _told(self, arm: int, q: FloatArray, motion: AxisMotion) -> list[float]:
+        """What to command so that the joints come to `q`; remembers the way that it turns."""
+        if self._cables[arm] != STIFF:
+            told = np.array(motion.p[:6])
+            q, self._turns[arm] = self._cables[arm].follow(q, told, self._turns[arm])
+        return list(map(float, q))

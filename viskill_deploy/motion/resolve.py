@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio
 
+from viskill_deploy.core.cables import STIFF, WRIST
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import MotionError
 from viskill_deploy.core.types import FloatArray, Waypoint
@@ -35,7 +36,10 @@ def base_poses(cell: CellDescription, arm: int, T_task_tip: FloatArray) -> Float
 
 def waypoint_at(cell: CellDescription, axes: Sequence[Sequence[float]] | FloatArray) -> Waypoint:
     """The waypoint at which the arms stand, from axis positions (7,) an arm, jaw last."""
-    rows = np.asarray(axes, dtype=np.float64)
+    rows = np.array(axes, dtype=np.float64)
+    for row, arm in zip(rows, cell.arms, strict=True):
+        if arm.cables != STIFF:
+            row[WRIST] += arm.cables.error(row[:6], np.zeros(3))
     return Waypoint(
         tuple(task_poses(cell, i, rows[i : i + 1, :6])[0] for i in range(len(cell.arms))),
         tuple(rows[:, 6].tolist()),
@@ -77,6 +81,8 @@ def resolve(
                 f"{arm.name}'s roll reaches its limit at waypoint {int(turned[0])} and would have "
                 "to turn back a whole turn; start with the roll a turn away, or rotate the path"
             )
+        if arm.cables != STIFF:
+            q[:, index, :6] = arm.cables.along(q[:, index, :6])
     return q
 
 

@@ -79,6 +79,7 @@ class Line:
 
     Attributes:
         rate: speed of the time base, 1.0 unless the gate has asked for less.
+        links: between the task frame and the joints.
     """
 
     def __init__(
@@ -87,8 +88,8 @@ class Line:
         self.cell, self.period_s, self.rate = cell, period_s, 1.0
         self.ik_solver = ik_solver
         self._planner = SegmentPlanner(cell, period_s, speed)
-        self._links = CellLinks(cell)
-        self._arms = self._links.arms
+        self.links = CellLinks(cell)
+        self._arms = self.links.arms
         self._iks = [
             IkSolver.for_arm(arm, port=_port(entry.port_in_base), solver=ik_solver)
             for arm, entry in zip(self._arms, cell.arms, strict=True)
@@ -129,7 +130,7 @@ class Line:
         """
         start = self._present()
         try:
-            target = self._links.targets(waypoint, start)
+            target = self.links.targets(waypoint, start)
             rest = [[0.0] * len(row) for row in target]
             end = rest if last else passing_velocity(start, np.array(target), waypoint.step_s)
             segment = self._planner.plan(start, target, end, waypoint.step_s)

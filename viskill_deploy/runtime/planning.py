@@ -11,6 +11,7 @@ import numpy as np
 from viskill_deploy.bundle.chain import SkillChain
 from viskill_deploy.bundle.format import Bundle
 from viskill_deploy.bundle.subgoals import subgoal_source
+from viskill_deploy.core.arm_errors import without_cables
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import MotionError, SafetyStop
 from viskill_deploy.core.types import (
@@ -29,7 +30,7 @@ from viskill_deploy.motion.resolve import densified, resolve
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.safety.rehearsal import Rehearsal
 from viskill_deploy.sim.closed_loop import ClosedLoop
-from viskill_deploy.sim.tasks.base import Task
+from viskill_deploy.sim.tasks.base import Task, load_task
 from viskill_deploy.sim.world import World
 
 
@@ -123,7 +124,8 @@ def make_plan(
         MotionError: the trajectory cannot be resolved or smoothed inside the limits, or does not
             do the task in the simulator.
     """
-    loop = ClosedLoop(task, World(cell), bundle.manifest.action.spec())
+    ideal = without_cables(cell)
+    loop = ClosedLoop(load_task(task.name, ideal), World(ideal), bundle.manifest.action.spec())
     observation = loop.reset(scene, measured)
     chain = SkillChain(bundle, subgoal_source(bundle, task, rng))
     starts: dict[str, SkillStart] = {}

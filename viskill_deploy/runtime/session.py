@@ -27,7 +27,6 @@ from viskill_deploy.core.types import (
 )
 from viskill_deploy.drivers.base import Driver
 from viskill_deploy.drivers.watch import OwnTime
-from viskill_deploy.motion.links import CellLinks
 from viskill_deploy.runtime.ledger import EpisodeResult, Ledger
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.safety.decision import Decision
@@ -136,7 +135,6 @@ class Session:
         self.cell, self.driver, self.line, self.recorder = cell, driver, line, recorder
         self.gate = Supervisor(cell, driver.period_s, training)
         self.ledger = Ledger(cell, driver.period_s, self.gate.rules)
-        self._links = CellLinks(cell)
         self._scene_due_s = 0.0
         self.overruns, self.cause = 0, ""
         self.thinking_s: Callable[[], float] = lambda: 0.0
@@ -332,7 +330,7 @@ class Session:
 
     def tips(self, state: CellState) -> list[FloatArray]:
         """Measured T_task_tip of every arm."""
-        return self._links.tips([arm.measured_jp for arm in state.arms])
+        return self.line.links.tips([arm.measured_jp for arm in state.arms])
 
     def _holding(self, state: CellState) -> tuple[bool, ...]:
         """Per arm, whether its jaw is told to close and something keeps it open."""

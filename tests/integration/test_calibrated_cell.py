@@ -1,0 +1,78 @@
+"""Arms that are not where their files say: a policy fails on them, and does its task calibrated."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calibrations import calibration_of
+from measured_arm import TYPICAL
+from silent_recorder import SilentRecorder
+
+from viskill_deploy.core.arm_errors import ArmErrors, with_errors
+from viskill_deploy.core.cables import Cables
+from viskill_deploy.core.calibration_files import CalibrationFile, calibrated
+from viskill_deploy.core.description import CellDescription, load_cell
+from viskill_deploy.drivers.loopback import LoopbackDriver
+from viskill_deploy.runtime.dry_run import DryRunOptions, Mode, dry_run
+from viskill_deploy.runtime.preflight import Prepared, prepare
+from viskill_deploy.sim.tasks.base import load_task
+from viskill_deploy.sim.world import WorldOptions
+
+OTHER = ArmErrors(
+    base_rotation_rad=(-0.01, 0.02, -0.015),
+    base_translation_m=(-0.005, 0.004, 0.006),
+    joint_offset=(0.0, -0.01, 0.007, -0.02, 0.02, 0.0),
+    cables=Cables((0.012, 0.01, 0.015), ((0.01, 0.0, 0.0), (0.0, -0.03, 0.02), (0.0, 0.01, 0.02))),
+)
+TRUTH = (TYPICAL, OTHER)
+CELL = load_cell("bipegtransfer")
+
+
+def exact_calibration(cell: CellDescription) -> CalibrationFile:
+    """What a perfect calibration of `TRUTH` would write."""
+    names = [arm.name for arm in cell.arms]
+    really = with_errors(cell, dict(zip(names, TRUTH, strict=True)))
+    found = calibration_of(really)
+    arms = tuple(
+        entry.model_copy(
+            update={
+                "joint_offset": errors.joint_offset,
+                "backlash_rad": errors.cables.backlash_rad,
+                "coupling": errors.cables.coupling,
+            }
+        )
+        for entry, errors in zip(found.arms, TRUTH, strict=True)
+    )
+    return found.model_copy(update={"arms": arms})
+
+
+def _calibrated(prepared: Prepared) -> Prepared:
+    file = exact_calibration(prepared.cell)
+    cell = calibrated(prepared.cell, file, Path("calibration/bipegtransfer.json"))
+    return replace(prepared, cell=cell, task=load_task(prepared.task.name, cell))
+
+
+def _run(prepared: Prepared, mode: Mode) -> dict[str, object]:
+    world = WorldOptions(truth=TRUTH)
+    return dry_run(prepared, DryRunOptions(mode=mode, world=world), SilentRecorder()).figures
+
+
+def test_the_loopback_stands_where_the_files_say_whatever_a_calibration_says() -> None:
+    cell = calibrated(CELL, exact_calibration(CELL), Path("x.json"))
+    assert cell.filed is CELL
+    ours, filed = LoopbackDriver(cell).world.model, LoopbackDriver(CELL).world.model
+    np.testing.assert_array_equal(ours.body_pos, filed.body_pos)
+
+
+@pytest.mark.parametrize("mode", ["closed-loop", "plan"])
+def test_calibrated_the_task_is_done(mode: Mode) -> None:
+    prepared = _calibrated(prepare(Path("policies/bipegtransfer-viskill")))
+    figures = _run(prepared, mode)
+    assert figures["success_rate"] == 1.0
+    assert figures["interventions"] == 0
+
+
+def test_uncalibrated_the_task_is_missed() -> None:
+    figures = _run(prepare(Path("policies/bipegtransfer-viskill")), "plan")
+    assert figures["success_rate"] == 0.0
