@@ -42,11 +42,13 @@ class SkillChain:
     Args:
         bundle: a loaded bundle.
         subgoals: who gives the subgoals.
+        first: name of the skill to begin with; the bundle's first by default.
     """
 
-    def __init__(self, bundle: Bundle, subgoals: SubgoalSource) -> None:
+    def __init__(self, bundle: Bundle, subgoals: SubgoalSource, first: str = "") -> None:
         self._bundle, self._subgoals = bundle, subgoals
-        self._skill, self._step = 0, 0
+        names = [skill.name for skill in bundle.manifest.skills]
+        self._skill, self._step = names.index(first or names[0]), 0
         self._start: SkillStart | None = None
 
     @property
@@ -87,15 +89,35 @@ class SkillChain:
 
     def _begin(self, skill: str, observation: FloatArray, scene: Scene) -> SkillStart:
         start = self._subgoals(skill, observation, scene)
-        if skill not in self._bundle.values:
-            return start
-        (value,) = self._bundle.values[skill](observation, scene.goal, start.subgoal).tolist()
-        table = self._bundle.manifest.value
-        if table is not None and table.meaning == "return" and math.isfinite(value):
-            return replace(start, value=value)
-        if not -ROUNDING <= value <= 1.0 + ROUNDING:
-            raise MotionError(
-                f"the value at the start of {skill!r} is {value:.4g}, no probability; look at the "
-                "observation, or train the value again"
-            )
-        return replace(start, value=min(max(value, 0.0), 1.0))
+        return replace(start, value=value_at(self._bundle, start, observation, scene))
+
+
+def value_at(
+    bundle: Bundle, start: SkillStart, observation: FloatArray, scene: Scene
+) -> float | None:
+    """The value where a skill is about to start; None where nothing tells it.
+
+    It is P(the whole task succeeds), unless the manifest says that it is a return.
+
+    Args:
+        bundle: a loaded bundle.
+        start: the skill and its subgoal.
+        observation: what the policy sees.
+        scene: what it was made from; gives the task's goal.
+
+    Raises:
+        BundleError: the graph cannot run.
+        MotionError: what it answers is no probability.
+    """
+    if start.skill not in bundle.values:
+        return None
+    (value,) = bundle.values[start.skill](observation, scene.goal, start.subgoal).tolist()
+    table = bundle.manifest.value
+    if table is not None and table.meaning == "return" and math.isfinite(value):
+        return float(value)
+    if not -ROUNDING <= value <= 1.0 + ROUNDING:
+        raise MotionError(
+            f"the value at the start of {start.skill!r} is {value:.4g}, no probability; look at "
+            "the observation, or train the value again"
+        )
+    return float(min(max(value, 0.0), 1.0))

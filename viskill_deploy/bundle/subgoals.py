@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Protocol
 
 import numpy as np
@@ -87,6 +88,23 @@ class ChosenSubgoals:
         goal = self._task.complete_subgoal(skill, chosen, observation, scene)
         check_reachable(skill, goal, self._task.cell)
         return SkillStart(skill, goal, "chaining")
+
+
+class KeptSubgoals:
+    """What was decided earlier in the episode, where a skill goes on with what its jaw holds.
+
+    Args:
+        source: who gives the subgoals of the other skills.
+        starts: what was decided.
+    """
+
+    def __init__(self, source: SubgoalSource, starts: Iterable[SkillStart]) -> None:
+        self._source, self._starts = source, {start.skill: start for start in starts}
+
+    def __call__(self, skill: str, observation: FloatArray, scene: Scene) -> SkillStart:
+        """The subgoal as it was decided; that of the source where nothing was."""
+        kept = self._starts.get(skill)
+        return self._source(skill, observation, scene) if kept is None else kept
 
 
 def check_reachable(skill: str, subgoal: FloatArray, cell: CellDescription) -> None:

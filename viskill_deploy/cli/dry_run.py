@@ -62,6 +62,14 @@ def command(
     speed: Annotated[
         float, typer.Option(min=0.05, max=1.0, help="Part of the planned tip speed to use.")
     ] = 1.0,
+    retries: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="How often in an episode a skill is tried again after a lost grasp or where the "
+            "value is low; then, and with 0 at once, the arms go to their start pose and stop.",
+        ),
+    ] = 1,
     joint_noise: Annotated[
         float, typer.Option(min=0, help="Measurement noise of angles, rad.")
     ] = 0.0,
@@ -148,6 +156,7 @@ def command(
         ik_solver=ik_solver,
         speed=speed,
         faults=_faults(fault or (), mode),
+        retries=retries,
     )
     folder = _new_folder(output, prepared.bundle.manifest.name)
     console = Console(stderr=json_)
@@ -211,8 +220,6 @@ def _run(
 ) -> tuple[dict[str, Any], ViskillError | None]:
     """The run's figures, and what ended it early; both are kept when the recorder fails."""
     succeeded = 0
-    value = prepared.bundle.manifest.value
-    threshold = value.threshold if value else None
     recorder = Recorder(folder / "recording", prepared.cell, options.world.period_s)
     with progress(options.episodes, console) as advance:
 
@@ -220,7 +227,7 @@ def _run(
             nonlocal succeeded
             succeeded += result.success
             advance(succeeded)
-            for remark in remarks(result, threshold):
+            for remark in remarks(result):
                 say(remark)
 
         def say(note: str) -> None:

@@ -69,6 +69,17 @@ class Motion(Table):
     floor_m: float
 
 
+class Grasp(Table):
+    """How a jaw that holds something is told from one that closed on nothing.
+
+    Attributes:
+        held_above_empty_rad: a closed jaw that stays open by more than this, counted from its
+            empty angle, holds something. Half of what the thinnest thing does is a good value.
+    """
+
+    held_above_empty_rad: float = Field(gt=0.0, le=0.5)
+
+
 class Board(Table):
     """The peg board: a slab whose top is z = 0 of the task frame, and its pegs."""
 
@@ -169,6 +180,7 @@ class CellFile(Table):
     name: str
     arm: tuple[CellArmEntry, ...]
     motion: Motion
+    grasp: Grasp
     camera: tuple[Camera, ...] = ()
     board: Board | None = None
     block: Block | None = None

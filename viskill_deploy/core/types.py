@@ -281,6 +281,72 @@ class SkillStart:
 
 
 @dataclass(frozen=True, slots=True)
+class GraspTest:
+    """One jaw that has to hold something when a skill has ended.
+
+    Attributes:
+        arm: name of the arm.
+        angle_rad: how far the jaw is open, measured.
+        empty_rad: how far it was open when it closed on nothing, measured before the run.
+        limit_rad: how much farther than empty a jaw is kept open by what it holds, at least.
+        is_closed: the jaw is told to close.
+    """
+
+    arm: str
+    angle_rad: float
+    empty_rad: float
+    limit_rad: float
+    is_closed: bool
+
+    @property
+    def holds(self) -> bool:
+        """Whether something keeps the closed jaw open; False for a number that is none."""
+        return self.is_closed and self.angle_rad - self.empty_rad > self.limit_rad
+
+
+Course = Literal["go on", "retry", "safe pose"]
+"""What the runtime does where one skill ends and the next one begins."""
+
+
+@dataclass(frozen=True, slots=True)
+class Boundary:
+    """What was seen and decided where a skill has ended and the next one may begin.
+
+    A jaw that loses its hold within a skill is told of in the same way: `after` and `before` are
+    that skill then.
+
+    Attributes:
+        after: the skill that has ended; "" before the first one.
+        before: the skill that may begin.
+        grasps: the jaws that have to hold something there; () where none has.
+        value: P(the whole task succeeds) as seen there; None where nothing tells it.
+        threshold: value below which the runtime does not go on; None without a value.
+        course: what is done.
+        skill: the skill that runs next; "" when none does.
+    """
+
+    after: str
+    before: str
+    grasps: tuple[GraspTest, ...]
+    value: float | None
+    threshold: float | None
+    course: Course
+    skill: str
+
+    @property
+    def lost(self) -> tuple[GraspTest, ...]:
+        """The jaws that do not hold what they should."""
+        return tuple(grasp for grasp in self.grasps if not grasp.holds)
+
+    @property
+    def is_value_low(self) -> bool:
+        """Whether success is less likely than the threshold asks for."""
+        if self.value is None or self.threshold is None:
+            return False
+        return not self.value >= self.threshold
+
+
+@dataclass(frozen=True, slots=True)
 class Waypoint:
     """Where every arm's tip shall be at the end of one policy step.
 

@@ -117,7 +117,32 @@ def waypoint_velocities(q: FloatArray, step_s: float) -> FloatArray:
     return v
 
 
-def smooth(cell: CellDescription, q: FloatArray, step_s: float, speed: float = 1.0) -> JointPlan:
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A stretch of a motion that begins and ends at rest, as a motion of its own.
+
+    Attributes:
+        motion: the whole.
+        start_s: time in it at which the part begins.
+        duration_s: the part's length.
+    """
+
+    motion: JointPlan
+    start_s: float
+    duration_s: float
+
+    def at(self, t: float) -> tuple[AxisMotion, ...]:
+        """State of every arm `t` seconds after the part's start; at its ends for times outside."""
+        return self.motion.at(self.start_s + min(max(t, 0.0), self.duration_s))
+
+
+def smooth(
+    cell: CellDescription,
+    q: FloatArray,
+    step_s: float,
+    speed: float = 1.0,
+    rests: Sequence[int] = (),
+) -> JointPlan:
     """A jerk-limited plan through joint waypoints.
 
     Args:
@@ -125,6 +150,7 @@ def smooth(cell: CellDescription, q: FloatArray, step_s: float, speed: float = 1
         q: axis positions at the waypoints, (n, arms, 7), the first where the arms are; n >= 2.
         step_s: time that each step is meant to take.
         speed: part of the planned tip speed to use, in (0, 1].
+        rests: waypoints at which all arms have to stand still.
 
     Raises:
         MotionError: fewer than two waypoints, a number that is not finite, or no motion inside the
@@ -137,6 +163,7 @@ def smooth(cell: CellDescription, q: FloatArray, step_s: float, speed: float = 1
         raise MotionError("waypoints must be finite, speed in (0, 1] and step_s positive")
     limits = tuple(PlanLimits.of(arm.arm) for arm in cell.arms)
     v = waypoint_velocities(q, step_s)
+    v[list(rests)] = 0.0
     runs: list[Run] = []
     times, now = [0.0], 0.0
     for first, last in _rest_to_rest(v):

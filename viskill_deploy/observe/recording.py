@@ -16,6 +16,7 @@ import select
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -28,6 +29,7 @@ from viskill_deploy.core.errors import RecordingError
 from viskill_deploy.core.types import (
     Action,
     ArmState,
+    Boundary,
     CellState,
     FloatArray,
     Joints,
@@ -167,16 +169,20 @@ class Recorder:
         step: int,
         note: str = "",
         start: SkillStart | None = None,
+        boundary: Boundary | None = None,
     ) -> None:
         """Records where the run stands: episode, skill, policy step, and a remark.
 
-        With a skill's first step also what was decided there, `start`.
+        With a skill's first step also what was decided there, `start`. Before it, what was decided
+        about going on to the skill, `boundary`.
         """
         self._begin(now)
         told: dict[str, Any] = {"episode": episode, "skill": skill, "step": step, "note": note}
         if start is not None:
             told |= {"subgoal": start.subgoal.tolist(), "subgoal_source": start.source}
             told["value"] = start.value
+        if boundary is not None:
+            told["boundary"] = asdict(boundary)
         self._send(Kind.SKILL, frames.TEXT.pack(now) + json.dumps(told).encode())
 
     def close(self) -> None:

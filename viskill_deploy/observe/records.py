@@ -60,6 +60,8 @@ class Mark:
         subgoal: what the skill was told to reach, with its first step; () with others.
         subgoal_source: who gave it.
         value: P(the whole task succeeds) as seen then; None where nothing told it.
+        boundary: what was seen and decided before a skill's first step (`core.types.Boundary` as
+            a dict); None with other marks.
     """
 
     time_s: float
@@ -70,6 +72,7 @@ class Mark:
     subgoal: tuple[float, ...] = ()
     subgoal_source: str = ""
     value: float | None = None
+    boundary: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)

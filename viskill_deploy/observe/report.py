@@ -15,6 +15,7 @@ from markupsafe import Markup
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import RecordingError
 from viskill_deploy.observe import figures
+from viskill_deploy.observe.boundaries import boundary_of, boundary_rows, sentences
 from viskill_deploy.observe.faults import struck_rows
 from viskill_deploy.observe.labels import action_label, rule_label
 from viskill_deploy.observe.reading import read_recording
@@ -70,6 +71,7 @@ def write_report(
         skills=skill_rows(result),
         faults=struck_rows(result),
         starts=start_rows(result, shown),
+        boundaries=boundary_rows(result, shown),
         shown=shown,
         margins=margin_rows(result),
         episodes=list(result.get("episode_results") or ()),
@@ -157,9 +159,11 @@ def _notes(
     """What a reader should know first, why the shown episode ended early included."""
     notes = [str(note) for note in result.get("notes") or ()]
     for entry in result.get("episode_results") or ():
-        why = entry.get("reason") or entry.get("refused")
-        if why and entry.get("episode") == shown:
-            notes.append(f"episode {shown}: {why}")
+        if entry.get("episode") == shown:
+            told = [boundary_of(boundary) for boundary in entry.get("boundaries") or ()]
+            reasons = [sentence for boundary in told for sentence in sentences(boundary)]
+            reasons += filter(None, (entry.get("reason"), entry.get("refused")))
+            notes += [f"episode {shown}: {reason}" for reason in reasons]
     notes += [trouble] if trouble else []
     if video is not None and video.note:
         notes.append(video.note)

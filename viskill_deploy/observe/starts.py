@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from viskill_deploy.observe.boundaries import sentences
 from viskill_deploy.runtime.ledger import EpisodeResult
 
 Result = Mapping[str, Any]
@@ -67,18 +68,10 @@ def _parts(
     return tuple(parts)
 
 
-def remarks(result: EpisodeResult, threshold: float | None) -> Iterator[str]:
-    """What a person should hear of an episode when it is over.
-
-    Args:
-        result: the episode.
-        threshold: the bundle's, below which a value counts as low; None without a value.
-    """
-    for skill in result.skills:
-        if is_low(skill.start.value, threshold):
-            yield (
-                f"episode {result.episode}: value {skill.start.value:.2f} at the start of "
-                f"{skill.start.skill} is below the bundle's threshold {threshold:.2f}"
-            )
+def remarks(result: EpisodeResult) -> Iterator[str]:
+    """What a person should hear of an episode when it is over."""
+    for boundary in result.boundaries:
+        for sentence in sentences(boundary):
+            yield f"episode {result.episode}: {sentence}"
     if result.reason or result.refused:
         yield f"episode {result.episode}: {result.reason or result.refused}"

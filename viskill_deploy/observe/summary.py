@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from viskill_deploy.observe.boundaries import boundary_of, place
 from viskill_deploy.observe.labels import rule_label
 from viskill_deploy.observe.starts import Result, is_low
 
@@ -108,6 +109,7 @@ def facts(result: Result) -> list[Fact]:
         _fact(result, "tip_speed_max_m_s", "Tip speed", "{:.1f} mm/s", scale=1e3),
         _fact(result, "setpoints", "Setpoints", "{:,d}"),
         _fact(result, "refused", "Refused", "{:d}", lambda v: v == 0),
+        _fact(result, "retries", "Retries", "{:d}") if result.get("retries") else None,
         _fact(result, "overruns", "Overruns", "{:d}") if result.get("real_time") else None,
     ]
     return [row for row in rows if row is not None]
@@ -161,6 +163,10 @@ def outcome(episode: Mapping[str, Any]) -> str:
     """How an episode ended: success, failed, or stopped and by what."""
     if episode.get("stopped_by"):
         return f"stopped by {rule_label(str(episode['stopped_by']))}"
+    boundaries = episode.get("boundaries") or ()
+    if boundaries and boundaries[-1]["course"] != "go on":
+        where = place(boundary_of(boundaries[-1]))
+        return f"stopped {where}, arms in their start pose"
     return "success" if episode.get("success") else "failed"
 
 

@@ -22,7 +22,8 @@ from viskill_deploy.core.errors import (
 )
 from viskill_deploy.core.types import Mode as GateMode
 from viskill_deploy.drivers import loopback, loopback_served
-from viskill_deploy.runtime.episodes import Job, closed_loop, planned
+from viskill_deploy.runtime.boundaries import Job
+from viskill_deploy.runtime.episodes import closed_loop, planned
 from viskill_deploy.runtime.fault_injection import FaultInjector
 from viskill_deploy.runtime.faults import Injection
 from viskill_deploy.runtime.ledger import EpisodeResult
@@ -48,6 +49,8 @@ class DryRunOptions:
         real_time: the loopback runs as a process of its own, against the clock.
         speed: part of the planned tip speed to use, in (0, 1].
         faults: what goes wrong on the way.
+        retries: how often in an episode a skill is tried again where a grasp was lost or the value
+            is low; 0 goes to the start pose at once.
     """
 
     episodes: int = 1
@@ -59,6 +62,7 @@ class DryRunOptions:
     ik_solver: str = "daqp"
     speed: float = 1.0
     faults: tuple[Injection, ...] = ()
+    retries: int = 1
 
 
 @dataclass(frozen=True)
@@ -142,7 +146,7 @@ def _episode(
     if distribution is not None:
         session.driver.reset(prepared.task.sample_layout(rng, distribution))
     began = session.driver.clock.now()
-    job = Job(prepared.bundle, prepared.task)
+    job = Job(prepared.bundle, prepared.task, options.retries)
     try:
         if options.mode == "plan":
             result = planned(session, job, rng, episode, options.speed)
@@ -178,6 +182,7 @@ def _figures(
         "subgoal_layout": [{"name": part.name, "size": part.size} for part in manifest.goal],
         "value_threshold": manifest.value.threshold if manifest.value else None,
         **summary,
+        "empty_jaw_rad": list(session.empty_jaw_rad),
         "wall_s": wall_s,
         "realtime_factor": summary["simulated_s"] / wall_s,
         "overruns": session.overruns,

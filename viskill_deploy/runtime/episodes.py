@@ -8,26 +8,27 @@ from functools import partial
 
 import numpy as np
 
-from viskill_deploy.bundle.chain import Choice, SkillChain
-from viskill_deploy.bundle.format import Bundle
-from viskill_deploy.bundle.subgoals import subgoal_source
-from viskill_deploy.core.errors import DriverError, ViskillError
-from viskill_deploy.core.types import CellState, FloatArray, Scene, SkillStart, Waypoint
+from viskill_deploy.bundle.chain import Choice, SkillChain, value_at
+from viskill_deploy.core.errors import ViskillError
+from viskill_deploy.core.types import (
+    Boundary,
+    CellState,
+    FloatArray,
+    Scene,
+    SkillStart,
+    Waypoint,
+)
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.motion.waypoints import apply_action
+from viskill_deploy.runtime.attempts import Attempts, scene_of
+from viskill_deploy.runtime.boundaries import Boundaries, Job
+from viskill_deploy.runtime.jaws import measure_empty_jaws
 from viskill_deploy.runtime.ledger import EpisodeResult, SkillResult
-from viskill_deploy.runtime.planning import Plan, make_plan
+from viskill_deploy.runtime.moves import axes_of, run_motion
+from viskill_deploy.runtime.planning import Plan
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.runtime.thinking import decide
 from viskill_deploy.sim.tasks.base import Task
-
-
-@dataclass(frozen=True, slots=True)
-class Job:
-    """What an episode runs: a bundle on its task."""
-
-    bundle: Bundle
-    task: Task
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,15 +47,39 @@ def closed_loop(
     """Runs the skills in turn, asking the policy at every step."""
     task, result = job.task, EpisodeResult(episode)
     session.make_ready()
+    if not measure_empty_jaws(session, result):
+        return result
     session.begin()
     seen = _look(session, task)
-    chain = SkillChain(job.bundle, subgoal_source(job.bundle, task, rng))
-    waypoint = waypoint_at(session.cell, axes_of(seen.state))
+    attempts = Attempts(session, job, rng)
+    chain = SkillChain(job.bundle, attempts.subgoals)
     session.recorder.mark(session.driver.clock.now(), episode, "", 0, seen.scene.active)
+    while (boundary := _run_chain(session, job, chain, result)) is not None:
+        if attempts.again(boundary, result) is None:
+            break
+        chain = SkillChain(job.bundle, attempts.subgoals, boundary.skill)
+    return _ended(session, task, result)
+
+
+def _run_chain(
+    session: Session, job: Job, chain: SkillChain, result: EpisodeResult
+) -> Boundary | None:
+    """Runs a chain from where the arms are.
+
+    Returns:
+        The boundary at which the runtime does not go on. None at the chain's end, and when the
+        gate has stepped in; the arms are at rest then, and `result` says for what.
+    """
+    waypoint = waypoint_at(session.cell, axes_of(session.read()))
+    boundaries = Boundaries(session, job, result)
     while not chain.finished:
         try:
-            think = partial(_next_step, job, chain, _look(session, task), waypoint)
+            think = partial(_next_step, job, chain, _look(session, job.task), waypoint)
             step = decide(session, think)
+            if step.choice.step == 0:
+                boundary = boundaries.before(step.choice.start)
+                if boundary is None or boundary.course != "go on":
+                    return boundary
             waypoint = step.waypoint
             _begin_step(session, step, result)
         except (ViskillError, ValueError) as error:
@@ -62,12 +87,22 @@ def closed_loop(
             session.line.fail(str(error))
         if not run_motion(session):
             session.come_to_rest(result)
-            return result
+            return None
         if chain.between_skills:
-            _judge_skill(session, task, result)
-    session.finish()
-    result.stopped_by = session.cause
-    result.success = _judge(session, task)
+            _judge_skill(session, job.task, result)
+        else:
+            lost = boundaries.within(waypoint.skill, may_halt=True)
+            if lost is not None or result.stopped_by:
+                return lost
+    return None
+
+
+def _ended(session: Session, task: Task, result: EpisodeResult) -> EpisodeResult:
+    """The episode's result, judged; the gate is disarmed where it has not stepped in."""
+    if not result.stopped_by:
+        session.finish()
+        result.stopped_by = session.cause
+        result.success = _judge(session, task)
     return result
 
 
@@ -116,56 +151,74 @@ def _note_step(
 def planned(
     session: Session, job: Job, rng: np.random.Generator, episode: int, speed: float = 1.0
 ) -> EpisodeResult:
-    """Makes the whole plan in a simulator, checks it, and only then streams it."""
-    state, scene, cell = session.make_ready(), _seen(session), session.cell
-    held = axes_of(state)
-    measured = held.copy()  # of a jaw that squeezes, only the setpoint says how much
-    measured[:, :6] = [arm.measured_jp for arm in state.arms]
-    plan = make_plan(cell, job.task, job.bundle, measured, held, scene, rng, speed)
-    plan.check(cell, session.driver.period_s, state, session.line.ik_solver)
-    session.begin()
+    """Makes the whole plan in a simulator, checks it, and only then streams it, skill by skill."""
     result = EpisodeResult(episode)
+    session.make_ready()
+    if not measure_empty_jaws(session, result):
+        return result
+    attempts, scene = Attempts(session, job, rng, speed), scene_of(session)
+    plan: Plan | None = attempts.plan(session.driver.state(), scene)
+    session.begin()
     session.recorder.mark(session.driver.clock.now(), episode, "", 0, scene.active)
-    session.line.follow(plan.motion)
-    index = 0
-    while not session.line.arrived:
-        ahead = plan.index_at(session.line.phase + session.driver.period_s)
-        if ahead != index:
-            _pass_waypoint(session, job.task, plan, result, index, ahead)
+    while plan is not None:
+        boundary = _stream(session, job, plan, result)
+        plan = None if boundary is None else attempts.again(boundary, result)
+    return _ended(session, job.task, result)
+
+
+def _stream(session: Session, job: Job, plan: Plan, result: EpisodeResult) -> Boundary | None:
+    """Streams a plan from where the arms are; returns what `_run_chain` does."""
+    boundaries = Boundaries(session, job, result)
+    for planned_start in plan.starts.values():
+        start = planned_start
+        try:
+            start = _as_seen(session, job, planned_start)
+            boundary = boundaries.before(start)
+            if boundary is None or boundary.course != "go on":
+                return boundary
+            session.line.follow(plan.part(start.skill))
+        except (ViskillError, ValueError) as error:
+            session.line.fail(str(error))
+        lost = _stream_skill(session, plan, start, result, boundaries)
+        if lost is not None or result.stopped_by:
+            return lost
+        _judge_skill(session, job.task, result)
+    return None
+
+
+def _as_seen(session: Session, job: Job, start: SkillStart) -> SkillStart:
+    """A skill's start of a plan, with the value as it is seen now instead of in the simulator."""
+    seen = _look(session, job.task)
+    return replace(start, value=value_at(job.bundle, start, seen.observation, seen.scene))
+
+
+def _stream_skill(
+    session: Session, plan: Plan, start: SkillStart, result: EpisodeResult, boundaries: Boundaries
+) -> Boundary | None:
+    """Streams one skill of a plan; returns what `_run_chain` does."""
+    index = first = plan.first_of(start.skill) - 1
+    began = plan.motion.waypoint_times[first]
+    while True:
+        ahead = plan.index_at(began + session.line.phase + session.driver.period_s)
+        if ahead != index and plan.waypoints[ahead].skill == start.skill:
+            lost = boundaries.within(start.skill, may_halt=False)
+            if lost is not None:
+                return lost
+            _pass_waypoint(session, plan, start, result, ahead)
             index = ahead
         session.allow(plan.waypoints[index])
         if not session.cycle():
             session.come_to_rest(result)
-            return result
-    session.finish()
-    result.stopped_by = session.cause
-    _judge_skill(session, job.task, result)
-    result.success = _judge(session, job.task)
-    return result
-
-
-def run_motion(session: Session) -> bool:
-    """Cycles until the motion is over; False when the gate has stepped in."""
-    while True:
-        if not session.cycle():
-            return False
+            return None
         if session.line.arrived:
-            return True
-
-
-def axes_of(state: CellState) -> FloatArray:
-    """Axis positions of the setpoints that the driver holds, (arms, 7), jaw last."""
-    return np.array([(*arm.setpoint_jp, arm.jaw_setpoint_jp) for arm in state.arms])
+            return None
 
 
 def _pass_waypoint(
-    session: Session, task: Task, plan: Plan, result: EpisodeResult, passed: int, ahead: int
+    session: Session, plan: Plan, start: SkillStart, result: EpisodeResult, ahead: int
 ) -> None:
-    """Notes that the plan is on its way to the waypoint `ahead`; judges a skill that has ended."""
-    name, before = plan.waypoints[ahead].skill, plan.waypoints[passed].skill
-    if before and name != before:
-        _judge_skill(session, task, result)
-    skill = _note_step(session, result, plan.starts[name], ahead - plan.first_of(name))
+    """Notes that the plan is on its way to the waypoint `ahead` of a skill."""
+    skill = _note_step(session, result, start, ahead - plan.first_of(start.skill))
     times = plan.motion.waypoint_times
     stretch = (times[ahead] - times[ahead - 1]) / plan.waypoints[ahead].step_s
     skill.stretch_max = max(skill.stretch_max, stretch)
@@ -183,15 +236,8 @@ def _judge_skill(session: Session, task: Task, result: EpisodeResult) -> None:
             skill.success = bool(task.skill_success(name, reached, subgoal))
 
 
-def _seen(session: Session) -> Scene:
-    scene = session.driver.scene()
-    if scene is None:
-        raise DriverError("nothing says where the objects are; give a scene")
-    return scene
-
-
 def _look(session: Session, task: Task) -> _Seen:
-    state, scene = session.read(), _seen(session)
+    state, scene = session.read(), scene_of(session)
     jaws, tips = [arm.jaw_measured_jp for arm in state.arms], session.tips(state)
     return _Seen(state, scene, tips, task.observe(tips, jaws, scene))
 
@@ -200,4 +246,4 @@ def _judge(session: Session, task: Task) -> bool:
     """Task success by the simulator's truth; False where nobody can tell."""
     if not session.driver.capabilities.simulated:
         return False
-    return task.success(session.driver.active_object(), _seen(session))
+    return task.success(session.driver.active_object(), scene_of(session))

@@ -20,6 +20,7 @@ from viskill_deploy.core.errors import DriverError, IkError
 from viskill_deploy.core.types import (
     PSM_JOINTS,
     Action,
+    Boundary,
     CellState,
     FloatArray,
     Joints,
@@ -274,8 +275,9 @@ class WitnessingRecorder:
         step: int,
         note: str = "",
         start: SkillStart | None = None,
+        boundary: Boundary | None = None,
     ) -> None:
         """Records where in the run this is; a fault's mark (episode -1) repeats the last place."""
         if episode >= 0:
             self._at = (episode, skill, step)
-        self._recorder.mark(now, *self._at, note, start)
+        self._recorder.mark(now, *self._at, note, start, boundary)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.types import Action, FloatArray, JointSetpoint, SkillStart
+from viskill_deploy.core.types import Action, Boundary, FloatArray, JointSetpoint, SkillStart
 from viskill_deploy.kinematics.model import forward_batch, port_distances
 
 BROKEN = -1.0
@@ -40,6 +40,8 @@ class EpisodeResult:
         stopped_by: id of the rule for which the gate stepped in; "" if it did not.
         reason: why the line had nothing to ask the gate for, in words; "" if it always had.
         refused: why nothing was moved at all; "" if it was.
+        retries: how often a skill was tried again.
+        boundaries: what was decided between the skills, in order.
     """
 
     episode: int
@@ -49,10 +51,12 @@ class EpisodeResult:
     refused: str = ""
     simulated_s: float = 0.0
     skills: list[SkillResult] = field(default_factory=list)
+    retries: int = 0
+    boundaries: list[Boundary] = field(default_factory=list)
 
     def skill(self, start: SkillStart) -> tuple[SkillResult, bool]:
         """The entry of the running skill, and whether it was made for this: the skill begins."""
-        begins = not self.skills or self.skills[-1].start.skill != start.skill
+        begins = not self.skills or self.skills[-1].start is not start
         if begins:
             self.skills.append(SkillResult(start))
         return self.skills[-1], begins
@@ -134,6 +138,7 @@ class Ledger:
             "success_rate": sum(e.success for e in done) / max(len(done), 1),
             "interventions": self.interventions,
             "refused": sum(bool(e.refused) for e in done),
+            "retries": sum(e.retries for e in done),
             "rcm_error_max_m": self._figures["rcm"],
             "joint_margin_min": self._figures["margin"],
             "tip_speed_max_m_s": self._figures["tip"],
@@ -165,4 +170,6 @@ def _episode(result: EpisodeResult) -> dict[str, Any]:
             }
             for skill in result.skills
         ],
+        "retries": result.retries,
+        "boundaries": [asdict(boundary) for boundary in result.boundaries],
     }

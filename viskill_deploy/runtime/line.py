@@ -173,6 +173,10 @@ class Line:
         end = motion.at(motion.duration_s)
         self._ends_at_rest = all(abs(v) <= AT_REST for m in end for v in m.v)
 
+    def halt(self) -> None:
+        """Comes to rest from where the line is now, jerk-limited, wherever that leads."""
+        self.follow(self._planner.brake(self._present()))
+
     def request(
         self, now: float, waypoint: Waypoint | None = None, holding: tuple[bool, ...] = ()
     ) -> Request:

@@ -10,7 +10,7 @@ import numpy as np
 
 from viskill_deploy.bundle.chain import SkillChain
 from viskill_deploy.bundle.format import Bundle
-from viskill_deploy.bundle.subgoals import subgoal_source
+from viskill_deploy.bundle.subgoals import SubgoalSource, subgoal_source
 from viskill_deploy.core.arm_errors import without_cables
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import MotionError, SafetyStop
@@ -25,7 +25,7 @@ from viskill_deploy.core.types import (
     SkillStart,
     Waypoint,
 )
-from viskill_deploy.motion.plan import JointPlan, smooth
+from viskill_deploy.motion.plan import JointPlan, Part, smooth
 from viskill_deploy.motion.resolve import densified, resolve
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.safety.rehearsal import Rehearsal
@@ -53,6 +53,13 @@ class Plan:
     def first_of(self, skill: str) -> int:
         """Index of a skill's first waypoint."""
         return next(i for i, waypoint in enumerate(self.waypoints) if waypoint.skill == skill)
+
+    def part(self, skill: str) -> Part:
+        """A skill's stretch of the motion, from rest to rest."""
+        count = sum(waypoint.skill == skill for waypoint in self.waypoints)
+        first, times = self.first_of(skill), self.motion.waypoint_times
+        start_s = times[first - 1]
+        return Part(self.motion, start_s, times[first + count - 1] - start_s)
 
     def index_at(self, time_s: float) -> int:
         """Index of the waypoint that the plan is on its way to at a time of its own."""
@@ -107,8 +114,12 @@ def make_plan(
     scene: Scene,
     rng: np.random.Generator,
     speed: float = 1.0,
+    subgoals: SubgoalSource | None = None,
+    first: str = "",
 ) -> Plan:
     """Lets the policy do the task in a simulator and smooths what it did.
+
+    All arms rest where one skill ends and the next one begins.
 
     Args:
         cell: the arms in their places.
@@ -119,6 +130,8 @@ def make_plan(
         scene: where the objects are.
         rng: for the scripted plan's subgoals.
         speed: part of the planned tip speed to use.
+        subgoals: who gives the subgoals; by default, what the bundle asks for.
+        first: name of the skill to begin with; the task's first by default.
 
     Raises:
         MotionError: the trajectory cannot be resolved or smoothed inside the limits, or does not
@@ -126,12 +139,12 @@ def make_plan(
     """
     ideal = without_cables(cell)
     loop = ClosedLoop(load_task(task.name, ideal), World(ideal), bundle.manifest.action.spec())
-    observation = loop.reset(scene, measured)
-    chain = SkillChain(bundle, subgoal_source(bundle, task, rng))
+    observation = loop.reset(scene, measured, held)
+    chain = SkillChain(bundle, subgoals or subgoal_source(bundle, task, rng), first)
     starts: dict[str, SkillStart] = {}
     skills = {skill.name: skill for skill in task.skills}
-    first = task.skills[0]
-    waypoints = [replace(loop.waypoint, may_open_jaw=first.may_open_jaw)]
+    begins = skills[first or task.skills[0].name]
+    waypoints = [replace(loop.waypoint, may_open_jaw=begins.may_open_jaw)]
     while not chain.finished:
         choice = chain.act(observation, loop.world.scene())
         starts[choice.skill] = choice.start
@@ -140,7 +153,8 @@ def make_plan(
         waypoints.append(replace(loop.waypoint, observation=seen))
     dense = densified(waypoints)
     q = resolve(cell, dense[1:], held.tolist())
-    motion = smooth(cell, q, cell.file.motion.step_s, speed)
+    changes = [i for i in range(1, len(dense) - 1) if dense[i].skill != dense[i + 1].skill]
+    motion = smooth(cell, q, cell.file.motion.step_s, speed, changes)
     if not loop.success():
         raise MotionError(
             "the plan does not do the task in the simulator and was not streamed; look at the "

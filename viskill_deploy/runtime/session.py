@@ -13,6 +13,7 @@ from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DriverError, SafetyStop, ViskillError
 from viskill_deploy.core.types import (
     Action,
+    Boundary,
     CellState,
     FloatArray,
     Inputs,
@@ -95,10 +96,12 @@ class Recorder(Protocol):
         step: int,
         note: str = "",
         start: SkillStart | None = None,
+        boundary: Boundary | None = None,
     ) -> None:
         """Records where in the run this is, and with a skill's first step what was decided there.
 
-        An episode's first note names its active object.
+        An episode's first note names its active object. A `boundary` stands by itself, before the
+        first step of the skill that it lets begin.
         """
         ...
 
@@ -120,6 +123,7 @@ class Session:
         cause: id of the rule for which the gate first stepped in since `begin`; "" if it did not.
         is_stop_wanted: a person has asked for the end of the run.
         thinking_s: how much longer the policy takes to decide than it does by itself; for tests.
+        empty_jaw_rad: how far each jaw is open when it closes on nothing; () until measured.
     """
 
     def __init__(
@@ -142,6 +146,7 @@ class Session:
         self._waypoint: Waypoint | None = None
         self._is_stopping, self._at_rest, self._is_moving = False, False, False
         self.is_stop_wanted = False
+        self.empty_jaw_rad: tuple[float, ...] = ()
         self._state = CellState((), Inputs(False, 0.0, "", True))  # closed until one is read
 
     def __enter__(self) -> Self:
@@ -216,6 +221,18 @@ class Session:
     def ask_to_stop(self) -> None:
         """A person wants the run to end: acts at the end of the present cycle."""
         self.is_stop_wanted = True
+
+    def stand(self, periods: int) -> list[CellState]:
+        """Lets time pass while nothing moves and nothing is sent; the states that were seen.
+
+        Raises:
+            DriverError: the driver failed.
+        """
+        self._deadline, states = self.driver.clock.now(), []
+        for _ in range(periods):
+            self._wait_for_next_period()
+            states.append(self.driver.state())
+        return states
 
     def _watch(self, seen: Callable[[CellState], bool]) -> CellState:
         """Shows the gate states until one is as awaited, or the arms had time enough for it."""

@@ -51,15 +51,21 @@ class ClosedLoop:
         """The waypoint commanded last."""
         return self._last
 
-    def reset(self, scene: Scene, axes: FloatArray | None = None) -> FloatArray:
+    def reset(
+        self,
+        scene: Scene,
+        axes: FloatArray | None = None,
+        setpoints: FloatArray | None = None,
+    ) -> FloatArray:
         """A new episode; returns the first observation.
 
         Args:
             scene: where the objects are.
             axes: axis positions of the arms, (arms, 7); the cell's start pose by default.
+            setpoints: what the arms are told to hold, (arms, 7); where they are by default.
         """
-        self.world.reset(scene, axes)
-        self._rest(self.world.home if axes is None else axes)
+        self.world.reset(scene, axes, setpoints)
+        self._rest(next(x for x in (setpoints, axes, self.world.home) if x is not None))
         return self.observe()
 
     def observe(self) -> FloatArray:

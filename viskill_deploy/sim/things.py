@@ -45,6 +45,10 @@ class _Free:
     def speed(self, data: mujoco.MjData) -> float:
         return float(np.linalg.norm(data.qvel[self._qvel : self._qvel + 3]))
 
+    def knock(self, data: mujoco.MjData, way: FloatArray) -> None:
+        data.qpos[self._qpos : self._qpos + 3] += way
+        data.qvel[self._qvel : self._qvel + 6] = 0.0
+
 
 class Sliding:
     """A thing that slides along a line, as a door does.
@@ -152,6 +156,19 @@ class Things:
         """
         for thing in scene.objects:
             self._known(thing.name).place(data, thing.T_task_object)
+
+    def knock(self, data: mujoco.MjData, name: str, way: FloatArray) -> None:
+        """Moves a free thing by `way` (3,), at rest.
+
+        Raises:
+            ViskillError: no free thing has that name.
+        """
+        if name not in self._free:
+            known = ", ".join(self._free) or "none"
+            raise ViskillError(
+                f"{name!r} is no free thing and stays where it is; free are: {known}"
+            )
+        self._free[name].knock(data, way)
 
     def colour(self, model: mujoco.MjModel, active: str) -> None:
         """Paints the active thing red and the other free ones blue."""

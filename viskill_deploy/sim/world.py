@@ -133,24 +133,37 @@ class World:
         """Restarts noise, losses and jitter."""
         self.imperfections.seed(seed)
 
-    def reset(self, scene: Scene, axes: npt.ArrayLike | None = None) -> None:
+    def reset(
+        self,
+        scene: Scene,
+        axes: npt.ArrayLike | None = None,
+        setpoints: npt.ArrayLike | None = None,
+    ) -> None:
         """Puts things and arms in place, lets the things fall and starts time at 0.
 
         Args:
             scene: poses of things; those that it does not name are put aside.
             axes: axis positions (arms, 7), jaw last; the cell's start pose by default.
+            setpoints: what the arms are told to hold, (arms, 7); where they are by default. A jaw
+                that squeezes something is told to close farther than it can.
 
         Raises:
             ViskillError: the scene names an object that this world does not have.
         """
-        self.place(scene, axes)
+        self.place(scene, axes, setpoints)
         colour(self.model, self._active, self._goal)
         mujoco.mj_step(self.model, self.data, nstep=self.settle_steps)
         self.data.time = 0.0
 
-    def place(self, scene: Scene, axes: npt.ArrayLike | None = None) -> None:
+    def place(
+        self,
+        scene: Scene,
+        axes: npt.ArrayLike | None = None,
+        setpoints: npt.ArrayLike | None = None,
+    ) -> None:
         """The first half of `reset`: everything in place and still, nothing fallen yet."""
         start = self.home if axes is None else np.asarray(axes, dtype=np.float64)
+        told = start if setpoints is None else np.asarray(setpoints, dtype=np.float64)
         mujoco.mj_resetData(self.model, self.data)
         self._things.place(self.data, scene)
         true = self.imperfections.true_axes(start)
@@ -158,12 +171,24 @@ class World:
             self.data.qpos[index.qpos[:6]] = row[:6]
             self.data.qpos[index.qpos[6:]] = max(row[6], 0.0) / 2
         self.attend(scene.active, scene.goal)
-        still = controls(start, np.zeros_like(start))
+        still = controls(told, np.zeros_like(told))
         self.data.ctrl[:] = self.imperfections.start(still)
 
     def attend(self, active: str, goal: FloatArray) -> None:
         """Says which thing counts, and where it has to go."""
         self._active, self._goal = active, np.array(goal)
+
+    def knock(self, way: npt.ArrayLike) -> None:
+        """Strikes the active thing out of whatever holds it: from there it falls.
+
+        Args:
+            way: how far and where it is struck, task frame, (3,) m.
+
+        Raises:
+            ViskillError: the active thing slides and cannot be struck out of anything.
+        """
+        self._things.knock(self.data, self._active, np.asarray(way, dtype=np.float64))
+        mujoco.mj_forward(self.model, self.data)
 
     def step(self, setpoints: Sequence[JointSetpoint]) -> None:
         """Lets one control period pass under one setpoint an arm."""

@@ -4,7 +4,7 @@ import base64
 import io
 import json
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +13,12 @@ import synthetic_run as synthetic
 from rich.console import Console
 
 from viskill_deploy.core.description import load_cell
-from viskill_deploy.core.types import SkillStart
+from viskill_deploy.core.types import Boundary, GraspTest
 from viskill_deploy.observe import figures, labels, plotting, starts, summary, tables
 from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.observe.report import write_report
 from viskill_deploy.observe.video import Video, render_video
-from viskill_deploy.runtime.ledger import EpisodeResult, SkillResult
+from viskill_deploy.runtime.ledger import EpisodeResult
 
 RESULT = {
     "task": "BiPegTransfer",
@@ -323,20 +323,48 @@ def test_subgoals_without_a_layout_are_plain_numbers():
     assert row.parts == (("subgoal", "0.0123, -0.04, 0.05, 0.01, 0.02, 0.03, 1, 0"),)
 
 
-def skill(value: float | None) -> SkillResult:
-    return SkillResult(SkillStart("grasp", np.zeros(8), "chaining", value))
+def boundary(course="go on", value=None, threshold=0.5, angle=0.16, closed=True) -> Boundary:
+    grasps = (GraspTest("PSM2", angle, -0.001, 0.07, closed),)
+    return Boundary("reach", "place", grasps, value, threshold, course, "reach")
+
+
+HOLDS, LOST = "PSM2 holds (jaw 0.160 rad", "PSM2 lost its hold (jaw 0.010 rad, empty -0.001 rad)"
 
 
 @pytest.mark.parametrize(
-    ("value", "threshold", "told"),
-    [(0.49, 0.5, True), (0.5, 0.5, False), (None, 0.5, False), (0.1, None, False)],
+    ("seen", "told"),
+    [
+        (boundary("safe pose", 0.49), "value 0.49 is below 0.50; the arms go to their start pose"),
+        (boundary("retry", angle=0.01), f"{LOST}; reach is tried again"),
+        (boundary("retry", 0.1, angle=0.01), f"{LOST}, value 0.10 is below 0.50; reach is tried"),
+        (boundary("retry", angle=0.5, closed=False), "PSM2 is open (jaw 0.500 rad"),
+        (boundary("retry", float("nan")), "value nan is below 0.50"),
+        (boundary(value=0.5), ""),
+        (boundary(value=0.1, threshold=None), ""),
+        (boundary(), ""),
+    ],
 )
-def test_a_person_hears_of_a_low_value(value, threshold, told):
-    remarks = list(starts.remarks(EpisodeResult(3, skills=[skill(value)]), threshold))
-    expected = "episode 3: value 0.49 at the start of grasp is below the bundle's threshold 0.50"
-    assert remarks == ([expected] if told else [])
+def test_a_person_hears_why_the_runtime_did_not_go_on(seen, told):
+    remarks = list(starts.remarks(EpisodeResult(3, boundaries=[seen])))
+    assert len(remarks) == bool(told)
+    assert all(r.startswith("episode 3: before place: ") and told in r for r in remarks)
+
+
+def test_a_report_tells_what_was_decided_between_the_skills(tmp_path):
+    stopped = dict(RESULT["episode_results"][0], stopped_by="", success=False)
+    stopped["boundaries"] = [asdict(boundary("safe pose", 0.49)), asdict(boundary(value=0.9))]
+    result = RESULT | {"episode_results": [stopped]}
+    path = write_report(tmp_path / "report.html", result, load_cell("bipegtransfer"))
+    html = path.read_text(encoding="utf-8")
+    assert "Between the skills" in html
+    assert HOLDS in html
+    assert "0.49, below 0.50" in html
+    assert "before place: value 0.49 is below 0.50" in html
+    assert summary.outcome(stopped) == "failed"
+    stopped["boundaries"] = stopped["boundaries"][:1]
+    assert summary.outcome(stopped) == "stopped before place, arms in their start pose"
 
 
 @pytest.mark.parametrize("key", ["reason", "refused"])
 def test_a_person_hears_why_an_episode_ended(key):
-    assert list(starts.remarks(EpisodeResult(3, **{key: "lost"}), None)) == ["episode 3: lost"]
+    assert list(starts.remarks(EpisodeResult(3, **{key: "lost"}))) == ["episode 3: lost"]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from chaining import VALUES, chain_graph, replace_file, resign, value_graph
 
-from viskill_deploy.core.types import SkillStart
+from viskill_deploy.core.types import Boundary, SkillStart
 from viskill_deploy.runtime.dry_run import DryRunOptions, Mode, Outcome, dry_run
 from viskill_deploy.runtime.preflight import prepare
 
@@ -24,6 +24,7 @@ class Notebook:
     def __init__(self) -> None:
         self.starts: list[tuple[int, str, int, SkillStart]] = []
         self.sent: list[tuple[float, ...]] = []
+        self.boundaries: list[Boundary] = []
 
     def cycle(self, *args: object) -> None:
         self.sent.append(tuple(x for s in args[3] for x in s.jp))  # type: ignore[attr-defined]
@@ -39,7 +40,10 @@ class Notebook:
         step: int,
         note: str = "",
         start: SkillStart | None = None,
+        boundary: Boundary | None = None,
     ) -> None:
+        if boundary is not None:
+            self.boundaries.append(boundary)
         if start is not None:
             self.starts.append((episode, skill, step, start))
 
@@ -134,12 +138,36 @@ def test_in_plan_mode_nothing_moves_at_all(copy: Path, graph: str) -> None:
     assert notebook.sent == []
 
 
-def test_a_low_value_is_told_and_does_not_stop_the_run(copy: Path) -> None:
-    replace_file(copy, "value-handover.onnx", value_graph(0.2))
-    outcome, _ = run(copy)
+@pytest.mark.parametrize("mode", ["closed-loop", "plan"])
+def test_with_a_low_value_at_the_start_nothing_moves(copy: Path, mode: Mode) -> None:
+    replace_file(copy, "value-grasp.onnx", value_graph(0.2))
+    outcome, notebook = run(copy, mode)
     (episode,) = outcome.figures["episode_results"]
-    assert episode["success"]
-    assert episode["skills"][1]["value"] == pytest.approx(0.2)
+    assert outcome.failure is None
+    assert (episode["success"], episode["stopped_by"], episode["skills"]) == (False, "", [])
+    (boundary,) = notebook.boundaries
+    assert (boundary.course, boundary.value) == ("safe pose", pytest.approx(0.2))
+    assert np.ptp(np.array(notebook.sent), axis=0).max() < 1e-6
+
+
+def test_with_a_low_value_a_skill_is_tried_again_and_then_the_arms_go_to_their_start_pose(
+    copy: Path,
+) -> None:
+    replace_file(copy, "value-handover.onnx", value_graph(0.2))
+    outcome, notebook = run(copy)
+    (episode,) = outcome.figures["episode_results"]
+    assert outcome.figures["interventions"] == 0
+    assert not episode["success"]
+    assert [s["name"] for s in episode["skills"]] == ["grasp", "grasp"]
+    assert [(b.before, b.course) for b in notebook.boundaries] == [
+        ("grasp", "go on"),
+        ("handover", "retry"),
+        ("grasp", "go on"),
+        ("handover", "safe pose"),
+    ]
+    assert episode["retries"] == 1
+    assert all(grasp.holds for b in notebook.boundaries for grasp in b.grasps)
+    np.testing.assert_allclose(notebook.sent[-1], notebook.sent[0], atol=1e-3)
 
 
 def test_a_chaining_bundle_without_value_runs(copy: Path) -> None:

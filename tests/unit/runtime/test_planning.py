@@ -11,7 +11,7 @@ from viskill_deploy.bundle.format import Bundle, load_bundle
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import MotionError, NoSolutionError, SafetyStop
 from viskill_deploy.drivers.loopback import LoopbackDriver
-from viskill_deploy.runtime.episodes import axes_of
+from viskill_deploy.runtime.moves import axes_of
 from viskill_deploy.runtime.planning import Plan, make_plan
 from viskill_deploy.sim.tasks.base import load_task
 

@@ -11,8 +11,8 @@ from viskill_deploy.core.errors import BundleError, SafetyStop
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.motion.waypoints import ActionSpec, apply_action
-from viskill_deploy.runtime.episodes import axes_of, run_motion
 from viskill_deploy.runtime.line import Line
+from viskill_deploy.runtime.moves import axes_of, run_motion
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.runtime.thinking import decide
 from viskill_deploy.sim.tasks.base import load_task

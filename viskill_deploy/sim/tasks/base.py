@@ -27,11 +27,14 @@ class SkillSpec:
         name: such as "grasp".
         budget: policy steps that it always takes.
         may_open_jaw: per arm, whether it may open a jaw that holds something.
+        holds: per arm, whether its jaw has to hold something when the skill has ended; () where
+            no jaw has anything to hold.
     """
 
     name: str
     budget: int
     may_open_jaw: tuple[bool, ...]
+    holds: tuple[bool, ...] = ()
 
 
 AnyFloatArray = npt.NDArray[np.floating[Any]]

@@ -52,8 +52,8 @@ REST_TOLERANCE_M = 0.002
 SPEED_TOLERANCE_M_S = 0.005
 
 SKILLS = (
-    SkillSpec("grasp", 30, (True, True)),
-    SkillSpec("handover", 35, (False, True)),
+    SkillSpec("grasp", 30, (True, True), holds=(False, True)),
+    SkillSpec("handover", 35, (False, True), holds=(True, False)),
     SkillSpec("release", 35, (True, True)),
 )
 

@@ -40,8 +40,8 @@ REST_TOLERANCE_M = 0.003
 SPEED_TOLERANCE_M_S = 0.005
 
 SKILLS = (
-    SkillSpec("grasp", 45, (True, True)),
-    SkillSpec("handover", 35, (False, True)),
+    SkillSpec("grasp", 45, (True, True), holds=(False, True)),
+    SkillSpec("handover", 35, (False, True), holds=(True, False)),
     SkillSpec("release", 20, (True, True)),
 )
 

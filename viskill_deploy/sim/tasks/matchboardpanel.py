@@ -46,7 +46,7 @@ SPEED_TOLERANCE_M_S = 0.005
 
 SKILLS = (
     SkillSpec("pull", 45, (True,)),
-    SkillSpec("grasp", 30, (True,)),
+    SkillSpec("grasp", 30, (True,), holds=(True,)),
     SkillSpec("release", 30, (True,)),
     SkillSpec("push", 45, (True,)),
 )
