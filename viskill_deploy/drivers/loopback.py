@@ -8,7 +8,7 @@ from dataclasses import replace
 from viskill_deploy.core.clock import Clock, SteppedClock
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DriverError
-from viskill_deploy.core.types import ActiveObject, CellState, JointSetpoint, Scene
+from viskill_deploy.core.types import ActiveObject, CellState, FloatArray, JointSetpoint, Scene
 from viskill_deploy.drivers.base import Capabilities, Driver
 from viskill_deploy.drivers.loopback_cell import LoopbackCell
 from viskill_deploy.drivers.watch import OwnTime, Watch
@@ -134,6 +134,10 @@ class LoopbackDriver:
     def active_object(self) -> ActiveObject:
         """The truth about the active object, for judging success."""
         return self.world.active_object()
+
+    def restore(self, physics: FloatArray, setpoints: Sequence[JointSetpoint]) -> None:
+        """Goes to a saved moment of the scene that `reset` has set up, at rest."""
+        self.cell.restore(physics, setpoints)
 
     def break_drive(self, joint: str, kind: str) -> None:
         """A joint's drive breaks; for tests of what happens then."""

@@ -9,6 +9,7 @@ from viskill_deploy.core.types import (
     PSM_JOINTS,
     ArmState,
     CellState,
+    FloatArray,
     Inputs,
     Joints,
     JointSetpoint,
@@ -48,6 +49,12 @@ class LoopbackCell:
         self.world.reset(scene)
         self._known = None
         self._stay_at_home()
+
+    def restore(self, physics: FloatArray, setpoints: Sequence[JointSetpoint]) -> None:
+        """Goes to a state of `World.save` of the same scene, holding setpoints at rest."""
+        self.world.restore(physics)
+        self._known, self._setpoints = None, list(setpoints)
+        self.hold()
 
     def enable(self) -> None:
         """DISABLED → ENABLED."""

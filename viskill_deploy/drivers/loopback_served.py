@@ -14,7 +14,7 @@ from pathlib import Path
 from viskill_deploy.core.clock import Clock, MonotonicClock
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DriverError
-from viskill_deploy.core.types import ActiveObject, CellState, Scene
+from viskill_deploy.core.types import ActiveObject, CellState, FloatArray, JointSetpoint, Scene
 from viskill_deploy.drivers.base import Capabilities, Driver
 from viskill_deploy.drivers.loopback import accepted
 from viskill_deploy.drivers.loopback_stop import connected
@@ -158,6 +158,11 @@ class ServedLoopback:
     def active_object(self) -> ActiveObject:
         """The truth about the active object, for judging success."""
         return unpack_object(self._ask({"do": "active_object"})["object"])
+
+    def restore(self, physics: FloatArray, setpoints: Sequence[JointSetpoint]) -> None:
+        """Goes to a saved moment of the scene that `reset` has set up, at rest."""
+        rows = pack_setpoints(list(setpoints))
+        self._ask({"do": "restore", "physics": physics.tolist(), "setpoints": rows})
 
     def break_drive(self, joint: str, kind: str) -> None:
         """A joint's drive breaks; for tests of what happens then."""

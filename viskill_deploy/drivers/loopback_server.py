@@ -13,6 +13,7 @@ import selectors
 import socket
 from pathlib import Path
 
+import numpy as np
 from pydantic import TypeAdapter
 
 from viskill_deploy.core import realtime
@@ -127,6 +128,9 @@ class LoopbackServer:
                 cell.reset(unpack_scene(message["scene"]))
             case "say":
                 cell.say(message.get("consent"), message.get("estop"))
+            case "restore":
+                setpoints = unpack_setpoints(message["setpoints"])
+                cell.restore(np.array(message["physics"]), setpoints)
             case "break_drive":
                 cell.break_drive(message["joint"], message["kind"])
             case "active_object":

@@ -92,6 +92,7 @@ class McapFile:
         self._metadata_at = self._file.tell()
         self._metadata = _record(METADATA, _text("viskill") + _map(metadata))
         self._file.write(self._metadata)
+        self._file.flush()  # the file opens, whatever happens from now on
         self._file.flush()
 
     def channel(self, topic: str, kind: MessageType) -> int:

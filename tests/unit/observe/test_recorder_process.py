@@ -95,6 +95,16 @@ def test_a_runtime_that_dies_in_the_middle_of_a_frame_loses_that_frame_alone(str
     assert CYCLES // 2 - 3 <= kept <= CYCLES // 2 + 1
 
 
+def test_a_bag_that_was_never_written_to_opens(stream):
+    data, folder = stream
+    intake = Intake(folder)
+    intake.feed(data[:2000])
+    kept = read_recording(folder)
+    assert not kept.complete
+    assert kept.about["cell"] == "bipegtransfer"
+    intake.bag.finish()
+
+
 def test_a_pipe_without_a_word_leaves_no_bag(tmp_path):
     reader, writer = os.pipe()
     os.close(writer)
