@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -40,7 +41,11 @@ class RuntimeToKill:
         self.process = subprocess.Popen(
             [sys.executable, str(SCRIPT), str(self.recording)], stdout=subprocess.PIPE, text=True
         )
-        self._pids = self.told()
+        try:
+            self._pids = self.told()
+        except ValueError:  # it said nothing: what it died of stands on its standard error
+            self.process.kill()
+            raise
         self._open = {name: os.pidfd_open(self._pids[name]) for name in PROCESSES}
         self._handle = StopHandle(Path(self._pids["socket"]))
         self.look()
@@ -61,6 +66,7 @@ class RuntimeToKill:
             with contextlib.suppress(ProcessLookupError):
                 signal.pidfd_send_signal(descriptor, signal.SIGKILL)
             os.close(descriptor)
+        shutil.rmtree(Path(self._pids["socket"]).parent, ignore_errors=True)
 
     def told(self) -> dict[str, Any]:
         """The next thing that the runtime says."""

@@ -72,7 +72,7 @@ class ServedLoopback:
         Raises:
             DriverError: one of them did not come up in time.
         """
-        command = [sys.executable, "-m", "viskill_deploy.drivers.loopback_server"]
+        command = [sys.executable, "-P", "-m", "viskill_deploy.drivers.loopback_server"]
         command += ["--cell", self._cell.name, "--socket", str(self.path)]
         command += ["--seed", str(self._seed)]
         command += ["--options", json.dumps(asdict(self._options))]

@@ -70,7 +70,8 @@ class WatchProcess:
     """A watchdog in a process of its own; returns when it is watching.
 
     Args:
-        module: the driver's program, run as `python -m module PAGE arguments…`.
+        module: the driver's program, run as `python -P -m module PAGE arguments…`: files that lie
+            about in the present folder are none of its business.
         arguments: what it needs to find the robot.
 
     Attributes:
@@ -86,7 +87,7 @@ class WatchProcess:
             os.ftruncate(page, Heartbeat.SIZE)
             self._heartbeat = Heartbeat(page)
             self.process = subprocess.Popen(
-                [sys.executable, "-m", module, str(page), *arguments],
+                [sys.executable, "-P", "-m", module, str(page), *arguments],
                 stdin=subprocess.PIPE,
                 pass_fds=(page,),
                 start_new_session=True,  # a Ctrl-C is for the runtime, which still needs a watchdog
