@@ -24,6 +24,10 @@ SCRIPT = Path(__file__).with_name("moving_runtime.py")
 PROCESSES = ("server", "watchdog", "recorder")
 
 
+class EndedByItself(Exception):  # noqa: N818 - nothing that went wrong here
+    """The gate ended the run before anybody could kill it; says why."""
+
+
 class RuntimeToKill:
     """A runtime whose arms move, with its server, watchdog and recorder.
 
@@ -46,6 +50,9 @@ class RuntimeToKill:
         except ValueError:  # it said nothing: what it died of stands on its standard error
             self.process.kill()
             raise
+        if "server" not in self._pids:
+            self.process.kill()
+            raise EndedByItself(str(self._pids))
         self._open = {name: os.pidfd_open(self._pids[name]) for name in PROCESSES}
         self._handle = StopHandle(Path(self._pids["socket"]))
         self.look()
@@ -90,11 +97,17 @@ class RuntimeToKill:
 
     def look_until(self, done: str, timeout_s: float = 5.0) -> None:
         """Looks until the watchdog has done something, "hold" or "disable"."""
-        deadline = time.monotonic() + timeout_s
+        deadline, longest, last = time.monotonic() + timeout_s, 0.0, time.monotonic()
         while done not in self.stopped_s:
-            assert time.monotonic() < deadline, f"no {done} within {timeout_s} s"
             self.look()
             time.sleep(0.002)
+            now = time.monotonic()
+            longest, last = max(longest, now - last), now
+            assert now < deadline or done in self.stopped_s, (
+                f"no {done} within {timeout_s} s, only {self.stopped_s}; longest time between two "
+                f"looks {longest:.3f} s; arms {self.state.arms[0].operating_state}; ended: "
+                f"{[name for name, fd in self._open.items() if select.select([fd], [], [], 0)[0]]}"
+            )
 
     def look_to_the_end(self) -> None:
         """Looks until the server has gone."""

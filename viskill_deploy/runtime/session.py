@@ -187,6 +187,19 @@ class Session:
         Raises:
             SafetyStop: the gate refuses; names the rules.
         """
+        if not self.driver.capabilities.stepped:
+            realtime.prepare()  # takes its time: before anybody counts on ours
+        try:
+            state = self._armed()
+        except ViskillError:
+            self._stand_easy()
+            raise
+        self.line.start(state)
+        self._state, self._waypoint, self.cause, self._missed = state, None, "", 0
+        self._is_stopping, self._at_rest, self._is_moving = False, False, True
+
+    def _armed(self) -> CellState:
+        """The state in which the operator agreed and the gate was armed."""
         self._deadline = self.driver.clock.now()
         if self.driver.capabilities.simulated:
             self.gate.reset(self._deadline)
@@ -204,12 +217,7 @@ class Session:
         if against:
             reasons = ", ".join(f"{v.rule} ({v.value:.4g}, limit {v.limit:.4g})" for v in against)
             raise SafetyStop(f"the gate refuses to arm: {reasons}; put that right and start again")
-        self.line.start(state)
-        if not self.driver.capabilities.stepped:
-            realtime.prepare()
-            self._deadline = self.driver.clock.now()
-        self._state, self._waypoint, self.cause, self._missed = state, None, "", 0
-        self._is_stopping, self._at_rest, self._is_moving = False, False, True
+        return state
 
     def finish(self) -> None:
         """The motion has ended by itself, at rest: the gate is disarmed."""
