@@ -73,7 +73,7 @@ class LineSocket:
             raise DriverError(f"the loopback's other side is gone ({error})") from error
 
     def receive(self) -> list[Message]:
-        """Every message that has arrived.
+        """Every message that has arrived; the last words of one who has gone too.
 
         Raises:
             DriverError: the other side is gone, or sends no messages of ours.
@@ -84,8 +84,12 @@ class LineSocket:
             except (BlockingIOError, InterruptedError):
                 break
             except OSError as error:
+                if b"\n" in self._pending:
+                    break  # the next call finds it gone
                 raise DriverError(f"the loopback's other side is gone ({error})") from error
             if not chunk:
+                if b"\n" in self._pending:
+                    break
                 raise DriverError("the loopback's other side has closed; restart it")
             self._pending += chunk
         *lines, self._pending = self._pending.split(b"\n")

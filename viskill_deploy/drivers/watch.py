@@ -15,6 +15,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from math import inf
 from typing import Protocol
 
 from viskill_deploy.core.clock import Clock, MonotonicClock
@@ -26,7 +27,8 @@ LOOK_S = 0.004
 """Between two looks: at most this is added to the watchdog's thresholds."""
 
 START_TIMEOUT_S = 20.0
-END_TIMEOUT_S = 5.0
+LAST_WORDS_S = 0.1
+"""How long a watchdog that has nobody left to watch goes on saying "disable": one could get lost."""
 
 
 class Watch(Protocol):
@@ -156,7 +158,7 @@ class Stopper(Protocol):
 
 
 def stand_watch(heartbeat: Heartbeat, stopper: Stopper, runtime: int, clock: Clock) -> None:
-    """Watches until the runtime is gone and the arms are without power.
+    """Watches until the runtime is gone and the arms have been without power for a while.
 
     A watchdog that has stepped in says so again at every look: nobody gets the arms back while
     this process lives.
@@ -170,8 +172,9 @@ def stand_watch(heartbeat: Heartbeat, stopper: Stopper, runtime: int, clock: Clo
     Raises:
         DriverError: the robot cannot be reached: ending is how the gate is told (S26).
     """
-    watchdog, is_gone = Watchdog(), False
-    while True:
+    watchdog, is_gone, end = Watchdog(), False, inf
+    now = clock.now()
+    while now < end:
         beat = heartbeat.beat_s
         now = clock.now()
         heartbeat.watched_s = now
@@ -183,8 +186,8 @@ def stand_watch(heartbeat: Heartbeat, stopper: Stopper, runtime: int, clock: Clo
                 stopper.hold()
             case Reaction.DISABLE:
                 stopper.disable()
-                if is_gone:
-                    return
+                if is_gone and end == inf:
+                    end = now + LAST_WORDS_S
         if is_gone:
             clock.sleep_until(now + LOOK_S)
         else:

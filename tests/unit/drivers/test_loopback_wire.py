@@ -1,10 +1,14 @@
 import json
+import socket
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
+from viskill_deploy.core.errors import DriverError
 from viskill_deploy.core.types import ActiveObject, ObjectPose, Scene
 from viskill_deploy.drivers.loopback_wire import (
+    LineSocket,
     pack_object,
     pack_scene,
     unpack_object,
@@ -35,3 +39,51 @@ def test_letters_and_doors_arrive_as_they_were_sent() -> None:
     assert np.array_equal(back.pose("door2"), moved(0.0751))
     assert (back.stamp_s, back.active) == (1.25, "letterB")
     assert np.array_equal(back.goal, scene.goal)
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[LineSocket, socket.socket]]:
+    ours, theirs = socket.socketpair()
+    line = LineSocket(ours)
+    yield line, theirs
+    line.close()
+    theirs.close()
+
+
+def test_the_last_words_of_one_who_has_gone_are_heard(ends) -> None:
+    line, theirs = ends
+    theirs.sendall(b'{"do":"hold"}\n{"do":"disable"}\n{"do":"hal')
+    theirs.close()
+    assert line.receive() == [{"do": "hold"}, {"do": "disable"}]
+    with pytest.raises(DriverError, match="closed"):
+        line.receive()
+
+
+def test_one_who_goes_without_a_word_is_gone_at_once(ends) -> None:
+    line, theirs = ends
+    theirs.sendall(b"{")
+    theirs.close()
+    with pytest.raises(DriverError, match="closed"):
+        line.receive()
+
+
+class Reset:
+    """A socket that gives some bytes and then breaks, as one whose other side was killed."""
+
+    def __init__(self, *chunks: bytes) -> None:
+        self.chunks = list(chunks)
+
+    def setblocking(self, flag: bool) -> None:
+        pass
+
+    def recv(self, size: int) -> bytes:
+        if not self.chunks:
+            raise ConnectionResetError
+        return self.chunks.pop(0)
+
+
+def test_a_connection_that_breaks_gives_what_came_before() -> None:
+    line = LineSocket(Reset(b'{"a":1}\n'))  # type: ignore[arg-type]
+    assert line.receive() == [{"a": 1}]
+    with pytest.raises(DriverError, match="gone"):
+        line.receive()

@@ -8,7 +8,7 @@ import pytest
 from viskill_deploy.core.clock import SteppedClock
 from viskill_deploy.core.errors import DriverError
 from viskill_deploy.core.types import Inputs
-from viskill_deploy.drivers.watch import LOOK_S, OwnTime, WatchProcess, stand_watch
+from viskill_deploy.drivers.watch import LAST_WORDS_S, LOOK_S, OwnTime, WatchProcess, stand_watch
 from viskill_deploy.safety.watchdog import DISABLE_S, LOST_S, RELEASED, Heartbeat
 
 pytestmark = pytest.mark.invariant("S25", "S26")
@@ -101,6 +101,9 @@ def test_a_runtime_that_dies_is_held_at_the_next_look_then_disabled_and_the_watc
         DISABLE_S - LOST_S, abs=2.1 * LOOK_S
     )
     assert post.heartbeat.has_stepped_in
+    said = [at for word, at in post.robot.told if word == "disable"]
+    assert len(said) > 10, "one could get lost"
+    assert said[-1] - said[0] == pytest.approx(LAST_WORDS_S, abs=3 * LOOK_S)
 
 
 def test_a_runtime_that_hangs_is_held_after_50_ms_and_disabled_after_500(post):
