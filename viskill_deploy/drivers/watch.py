@@ -28,7 +28,7 @@ LOOK_S = 0.004
 
 START_TIMEOUT_S = 20.0
 LAST_WORDS_S = 0.1
-"""How long a watchdog that has nobody left to watch goes on saying "disable": one could get lost."""
+"""How long a watchdog with nobody left to watch goes on saying "disable": one could get lost."""
 
 
 class Watch(Protocol):
