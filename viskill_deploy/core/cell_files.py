@@ -58,6 +58,72 @@ class CellArmEntry(Table):
         return self.start_yaw_rad or self.start_pitch_rad or 0.0
 
 
+Pair = Literal[
+    "shaft_shaft",
+    "shaft_wrist",
+    "shaft_jaw",
+    "wrist_wrist",
+    "wrist_jaw",
+    "jaw_jaw",
+    "shaft_peg",
+    "wrist_peg",
+    "jaw_peg",
+    "shaft_plate",
+    "wrist_plate",
+    "jaw_plate",
+    "shaft_door",
+    "wrist_door",
+    "jaw_door",
+    "shaft_keep_out",
+    "wrist_keep_out",
+    "jaw_keep_out",
+]
+"""Two parts of two instruments, or a part of one and a kind of thing that stands in the cell."""
+
+
+class Clearance(Table):
+    """How near two parts may come to each other, measured from surface to surface.
+
+    Attributes:
+        slow_m: distance below which they come nearer only slowly.
+        stop_m: distance below which they do not come nearer.
+        spare_m: of `shaft_wrist` alone: the end of the shaft that is not looked at, because two
+            wrists that hold one thing stand beside each other there.
+    """
+
+    slow_m: Positive
+    stop_m: Positive
+    spare_m: NonNegative = 0.0
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Clearance:
+        if self.stop_m >= self.slow_m:
+            raise ValueError(f"stop_m {self.stop_m} must be below slow_m {self.slow_m}")
+        return self
+
+
+class KeepOut(Table):
+    """A box in the task frame that no part of any instrument enters."""
+
+    name: str
+    lower_m: Vector3
+    upper_m: Vector3
+
+    @model_validator(mode="after")
+    def _ordered(self) -> KeepOut:
+        if any(low >= high for low, high in zip(self.lower_m, self.upper_m, strict=True)):
+            raise ValueError("lower_m must be below upper_m on every axis")
+        return self
+
+
+class Distances(Table):
+    """Each pair that there is in the cell stays apart, or is named as one that may touch."""
+
+    apart: dict[Pair, Clearance]
+    contact: tuple[Pair, ...]
+    keep_out: tuple[KeepOut, ...] = ()
+
+
 class Motion(Table):
     """Speed and safety values of the whole cell, all in the task frame."""
 
@@ -181,6 +247,7 @@ class CellFile(Table):
     arm: tuple[CellArmEntry, ...]
     motion: Motion
     grasp: Grasp
+    distances: Distances
     camera: tuple[Camera, ...] = ()
     board: Board | None = None
     block: Block | None = None

@@ -21,6 +21,7 @@ from viskill_deploy.core.robot_files import (
     PrismaticJoint,
     RevoluteJoint,
     RobotFile,
+    Shape,
     ToolFile,
     read_toml,
 )
@@ -45,6 +46,7 @@ class ArmDescription:
     joints: tuple[RevoluteJoint | PrismaticJoint, ...]
     tip_rotation: FloatArray
     jaw: Jaw
+    shape: Shape
     gate: GateThresholds
     actuator_to_joint: FloatArray
     files: tuple[Path, ...]
@@ -134,6 +136,7 @@ def join(robot: RobotFile, tool: ToolFile, files: tuple[Path, ...]) -> ArmDescri
         joints=joints,
         tip_rotation=np.array(tool.tip_rotation),
         jaw=tool.jaw,
+        shape=tool.shape,
         gate=robot.gate,
         actuator_to_joint=np.array(tool.actuator_to_joint),
         files=files,

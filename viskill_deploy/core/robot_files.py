@@ -187,6 +187,20 @@ class Jaw(Table):
         return self
 
 
+class Shape(Table):
+    """How thick an instrument is. A file need not say it: these are the 8 mm instruments.
+
+    Attributes:
+        shaft_radius_m: of the tube; with its rounded end it reaches to the wrist's first axis.
+        wrist_radius_m: of the link from there to the jaw's pivot.
+        jaw_radius_m: of the closed jaw.
+    """
+
+    shaft_radius_m: Positive = 0.0042
+    wrist_radius_m: Positive = 0.0025
+    jaw_radius_m: Positive = 0.0017
+
+
 class GateThresholds(Table):
     """Thresholds of the gate that belong to the arm; `safety` holds the ceilings above them."""
 
@@ -196,6 +210,8 @@ class GateThresholds(Table):
     first_command_rad: Positive
     first_command_m: Positive
     insertion_past_rcm_m: Positive
+    port_warn_m: Positive
+    port_stop_m: Positive
     feedback_period_s: Positive
     tracking_rad: Positive
     tracking_m: Positive
@@ -222,6 +238,7 @@ class ToolFile(Table):
     joint: tuple[Joint, ...]
     tip_rotation: tuple[Vector3, Vector3, Vector3]
     jaw: Jaw
+    shape: Shape = Shape()
     actuator_to_joint: tuple[tuple[float, float, float, float], ...]
 
     @model_validator(mode="after")

@@ -6,7 +6,11 @@ Order of joints: yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw, jaw.
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
 from typing import Final
+
+from viskill_deploy.core.errors import DataFileError
 
 MAX_SPEED: Final = (1.57, 1.57, 0.2, 18.8, 18.8, 18.8, 6.0)
 """rad/s, m/s. What dVRK plans its own move_jp with; the jaw's is that of the tasks' jaw ramp."""
@@ -69,6 +73,45 @@ MAX_WORKSPACE_SIDE_M: Final = 0.3
 MAX_FINGER_M: Final = 0.05
 """The longest jaw of any instrument is shorter."""
 
+MIN_RADIUS_M: Final = (0.0042, 0.0025, 0.0017)
+"""Shaft, wrist and closed jaw of an 8 mm instrument; a thinner one would be let nearer."""
+
+MAX_RADIUS_M: Final = 0.01
+"""No instrument goes through a port that is wider."""
+
+PORT: Final = (0.001, 0.002)
+"""m off the shaft's axis that are warned of and that end a run."""
+
+MAX_PORT_OFFSET_M: Final = 0.01
+"""A port registered farther from the arm's remote centre is a wrong registration."""
+
+MAY_TOUCH: Final = frozenset(
+    {"shaft_jaw", "wrist_jaw", "jaw_jaw", "jaw_peg", "jaw_plate", "jaw_door"}
+    | {"wrist_peg", "wrist_door"}
+)
+"""Jaws work on all there is; a wrist goes between pegs and pushes doors."""
+
+LEAST_APART: Final = {
+    "shaft_shaft": (0.004, 0.002),
+    "shaft_wrist": (0.002, 0.001),
+    "wrist_wrist": (0.0005, 0.00025),
+    "shaft_peg": (0.004, 0.002),
+    "shaft_plate": (0.004, 0.002),
+    "wrist_plate": (0.002, 0.001),
+    "shaft_door": (0.004, 0.002),
+    "shaft_keep_out": (0.004, 0.002),
+    "wrist_keep_out": (0.004, 0.002),
+    "jaw_keep_out": (0.004, 0.002),
+}
+"""m, slow and stop, of any task: what tracking and calibration leave of a distance. Wrists that
+hand over a block stand beside each other."""
+
+MAX_SPARE_M: Final = 0.012
+"""Longest end of a shaft that is not held against the other's wrist: where they hand over."""
+
+MAX_APART_M: Final = 0.05
+"""A larger distance would leave no room to work; it was meant in another unit."""
+
 PERIOD_S: Final = (0.001, 0.01)
 """1 kHz to 100 Hz: what the smoothing and this gate's differences were tested with."""
 
@@ -78,3 +121,18 @@ MAX_CALIBRATION_AGE_S: Final = 30 * 86400.0
 MAX_CALIBRATION_RESIDUAL_M: Final = 0.0015
 """Root mean square: 1.9 mm is published for a Classic arm with calibrated joint offsets, 0.65 to
 1.3 mm with its cables modelled too, and the tasks tolerate 5 mm in all."""
+
+
+def check(path: Path, key: str, value: float, low: float, high: float) -> None:
+    """Refuses a value outside its bounds, and NaN.
+
+    Raises:
+        DataFileError: names file, key, value and bounds.
+    """
+    if not (low <= value <= high and math.isfinite(value)):
+        raise DataFileError(
+            path,
+            key,
+            f"{value!r} is outside [{low:.6g}, {high:.6g}], the widest that the gate accepts; "
+            "a file may only be stricter",
+        )

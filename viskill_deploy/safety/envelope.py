@@ -12,6 +12,8 @@ from viskill_deploy.core.description import ArmDescription, CellArm, CellDescrip
 from viskill_deploy.core.errors import DataFileError
 from viskill_deploy.core.types import Joints, ObservationRange
 from viskill_deploy.safety import ceilings
+from viskill_deploy.safety.ceilings import check
+from viskill_deploy.safety.clearances import Apart, clearances
 from viskill_deploy.safety.geometry import Chain, Point
 
 ROUNDING = 1e-9
@@ -30,6 +32,10 @@ class ArmEnvelope:
         first_command: how far the first setpoint may be from the driver's, (6,).
         insertion_min: insertion with the wrist just past the cannula.
         tracking: how far a measured joint may be from its setpoint, (6,), for `tracking_time`.
+        wrist_offset: depth of the wrist past the remote centre at no insertion.
+        wrist_length, jaw_length: from the wrist to the control point, from there to the jaw's end.
+        port: registered port, task frame.
+        port_warn, port_stop: distances of the shaft's axis from it.
         workspace_lower, workspace_upper: box of the control point, task frame.
     """
 
@@ -45,6 +51,12 @@ class ArmEnvelope:
     measured_slack: float
     first_command: Joints
     insertion_min: float
+    wrist_offset: float
+    wrist_length: float
+    jaw_length: float
+    port: Point
+    port_warn: float
+    port_stop: float
     feedback_period: float
     tracking: Joints
     tracking_time: float
@@ -64,6 +76,7 @@ class CellEnvelope:
         floor: lowest height of a jaw end, task frame, m.
         consent_hold, consent_stop: time without the operator's consent, s.
         training: what the policy has seen in training; None where no policy is asked.
+        apart: every two things that stay apart.
     """
 
     arms: tuple[ArmEnvelope, ...]
@@ -73,6 +86,7 @@ class CellEnvelope:
     floor: float
     consent_hold: float
     consent_stop: float
+    apart: tuple[Apart, ...]
     training: ObservationRange | None = None
 
     @classmethod
@@ -87,19 +101,19 @@ class CellEnvelope:
         """
         path, motion = cell.files[0], cell.file.motion
         low, high = ceilings.PERIOD_S
-        _within(path, "period_s", period_s, low, high)
+        check(path, "period_s", period_s, low, high)
         _positive(path, "motion.tip_speed_m_s", motion.tip_speed_m_s, ceilings.TIP_SPEED_M_S)
-        _within(
+        check(
             path,
             "motion.tip_speed_ceiling_m_s",
             motion.tip_speed_ceiling_m_s,
             motion.tip_speed_m_s,
             ceilings.TIP_SPEED_CEILING_M_S,
         )
-        _within(path, "motion.floor_m", motion.floor_m, ceilings.MIN_FLOOR_M, 0.1)
+        check(path, "motion.floor_m", motion.floor_m, ceilings.MIN_FLOOR_M, 0.1)
         hold, stop = ceilings.CONSENT_S
         _positive(path, "motion.consent_hold_s", motion.consent_hold_s, hold)
-        _within(path, "motion.consent_stop_s", motion.consent_stop_s, motion.consent_hold_s, stop)
+        check(path, "motion.consent_stop_s", motion.consent_stop_s, motion.consent_hold_s, stop)
         if not cell.arms:
             raise DataFileError(path, "arm", "the cell has no arm; add one")
         return cls(
@@ -111,6 +125,7 @@ class CellEnvelope:
             consent_hold=float(motion.consent_hold_s),
             consent_stop=float(motion.consent_stop_s),
             training=training,
+            apart=clearances(cell),
         )
 
 
@@ -119,7 +134,7 @@ def _arm(cell_path: Path, cell_arm: CellArm) -> ArmEnvelope:
     _check_gate(arm)
     _check_joints(arm)
     _check_workspace(cell_path, cell_arm)
-    jaw, gate = arm.jaw, arm.gate
+    jaw, gate, chain = arm.jaw, arm.gate, Chain.of(cell_arm)
     by_kind = [joint.type == "prismatic" for joint in arm.joints]
     return ArmEnvelope(
         name=cell_arm.name,
@@ -138,6 +153,12 @@ def _arm(cell_path: Path, cell_arm: CellArm) -> ArmEnvelope:
             *(gate.first_command_m if slides else gate.first_command_rad for slides in by_kind)
         ),
         insertion_min=float(arm.insertion_min_m),
+        wrist_offset=float(arm.wrist_offset_m),
+        wrist_length=float(arm.joints[5].a_m),
+        jaw_length=float(jaw.finger_length_m),
+        port=chain.in_task(entry.port_in_base_m),
+        port_warn=float(gate.port_warn_m),
+        port_stop=float(gate.port_stop_m),
         feedback_period=float(gate.feedback_period_s),
         tracking=_floats(
             *(gate.tracking_m if slides else gate.tracking_rad for slides in by_kind[:3]),
@@ -146,7 +167,7 @@ def _arm(cell_path: Path, cell_arm: CellArm) -> ArmEnvelope:
         tracking_time=float(gate.tracking_s),
         workspace_lower=entry.workspace_lower_m,
         workspace_upper=entry.workspace_upper_m,
-        chain=Chain.of(cell_arm),
+        chain=chain,
     )
 
 
@@ -173,8 +194,8 @@ def _check_joints(arm: ArmDescription) -> None:
         path = robot if index < 3 else tool
         lower, upper, speed, acceleration, jerk = limits
         low, high = ranges[index]
-        _within(path, f"{name}.lower", lower, low, high)
-        _within(path, f"{name}.upper", upper, low, high)
+        check(path, f"{name}.lower", lower, low, high)
+        check(path, f"{name}.upper", upper, low, high)
         margin = arm.gate.position_margin_m if index == 2 else arm.gate.position_margin_rad
         _positive(path, f"{name} range less margins", upper - lower - 2.0 * margin, high - low)
         _positive(path, f"{name}.max_velocity", speed, ceilings.MAX_SPEED[index])
@@ -187,14 +208,25 @@ def _check_gate(arm: ArmDescription) -> None:
     path, gate = arm.files[0], arm.gate
     margin_rad, margin_m = ceilings.MIN_POSITION_MARGIN
     first_rad, first_m = ceilings.FIRST_COMMAND
-    _within(path, "gate.position_margin_rad", gate.position_margin_rad, margin_rad, 0.1)
-    _within(path, "gate.position_margin_m", gate.position_margin_m, margin_m, 0.02)
-    _within(path, "gate.measured_slack", gate.measured_slack, 0.0, ceilings.MEASURED_SLACK)
+    check(path, "gate.position_margin_rad", gate.position_margin_rad, margin_rad, 0.1)
+    check(path, "gate.position_margin_m", gate.position_margin_m, margin_m, 0.02)
+    check(path, "gate.measured_slack", gate.measured_slack, 0.0, ceilings.MEASURED_SLACK)
     _positive(path, "gate.first_command_rad", gate.first_command_rad, first_rad)
     _positive(path, "gate.first_command_m", gate.first_command_m, first_m)
-    _within(
+    check(
         path, "gate.insertion_past_rcm_m", gate.insertion_past_rcm_m, ceilings.MIN_PAST_RCM_M, 0.2
     )
+    warn, stop = ceilings.PORT
+    _positive(path, "gate.port_warn_m", gate.port_warn_m, warn)
+    check(path, "gate.port_stop_m", gate.port_stop_m, gate.port_warn_m, stop)
+    shape = arm.shape
+    for key, radius, least in zip(
+        ("shaft", "wrist", "jaw"),
+        (shape.shaft_radius_m, shape.wrist_radius_m, shape.jaw_radius_m),
+        ceilings.MIN_RADIUS_M,
+        strict=True,
+    ):
+        check(arm.files[-1], f"shape.{key}_radius_m", radius, least, ceilings.MAX_RADIUS_M)
     beyond = arm.joints[2].limits[1] - arm.insertion_min_m
     _positive(path, "insertion range past the cannula", beyond, 1.0)
     slowest = ceilings.MAX_FEEDBACK_PERIOD_S
@@ -210,30 +242,22 @@ def _check_workspace(path: Path, cell_arm: CellArm) -> None:
     for low, high in zip(entry.workspace_lower_m, entry.workspace_upper_m, strict=True):
         key = f"arm.{cell_arm.name}.workspace"
         _positive(path, key, high - low, ceilings.MAX_WORKSPACE_SIDE_M)
-        _within(path, key, low, -ceilings.MAX_WORKSPACE_SIDE_M, ceilings.MAX_WORKSPACE_SIDE_M)
+        check(path, key, low, -ceilings.MAX_WORKSPACE_SIDE_M, ceilings.MAX_WORKSPACE_SIDE_M)
+    for value in entry.port_in_base_m:
+        offset = ceilings.MAX_PORT_OFFSET_M
+        check(path, f"arm.{cell_arm.name}.port_in_base_m", value, -offset, offset)
     T = cell_arm.T_task_base
     if T.shape != (4, 4) or not abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() < 1e-9:
         raise DataFileError(
             path, f"arm.{cell_arm.name}", "its base pose is no rigid transform; correct it"
         )
     for value in T[:3, 3]:
-        _within(path, f"arm.{cell_arm.name}.base_position_m", float(value), -2.0, 2.0)
+        check(path, f"arm.{cell_arm.name}.base_position_m", float(value), -2.0, 2.0)
 
 
 def _positive(path: Path, key: str, value: float, ceiling: float) -> None:
     """Refuses zero, a negative number, NaN and whatever is above the ceiling."""
-    _within(path, key, value, math.ulp(0.0), ceiling)
-
-
-def _within(path: Path, key: str, value: float, low: float, high: float) -> None:
-    """Refuses a value outside its bounds, and NaN."""
-    if not (low <= value <= high and math.isfinite(value)):
-        raise DataFileError(
-            path,
-            key,
-            f"{value!r} is outside [{low:.6g}, {high:.6g}], the widest that the gate accepts; "
-            "a file may only be stricter",
-        )
+    check(path, key, value, math.ulp(0.0), ceiling)
 
 
 def _floats(*values: float) -> Joints:

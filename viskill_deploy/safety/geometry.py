@@ -15,6 +15,9 @@ from viskill_deploy.core.description import CellArm
 from viskill_deploy.core.types import Joints
 
 Point = tuple[float, float, float]
+Points = tuple[Point, Point, Point, Point]
+"""Control point, jaw end, wrist, end of the shaft: task frame, m."""
+ORIGIN: Point = (0.0, 0.0, 0.0)
 Row = tuple[float, float, float, float]
 
 
@@ -29,12 +32,16 @@ class Chain:
     Attributes:
         tip_axes: columns of the rotation from the last joint's frame to the tip.
         jaw_end: end of the closed jaw in the last joint's frame, m.
+        wrist, shaft_end: the wrist's first axis, and where the shaft's rounded end begins, in the
+            frame of the roll, m; the shaft's axis is z there.
         T_task_base: first three rows of the base's pose in the task frame.
     """
 
     links: tuple[Link, ...]
     tip_axes: tuple[Point, Point, Point]
     jaw_end: Point
+    wrist: Point
+    shaft_end: Point
     T_task_base: tuple[Row, Row, Row]
 
     @classmethod
@@ -54,47 +61,42 @@ class Chain:
         )
         x, y, z = (_point(column) for column in arm.tip_rotation.T.tolist())
         length = arm.jaw.finger_length_m
+        pitch = arm.joints[4]
+        rise, tilt = pitch.d_m, pitch.alpha_rad
+        wrist = (pitch.a_m, -sin(tilt) * rise, cos(tilt) * rise)
         rows = [(*map(float, row),) for row in cell_arm.T_task_base.tolist()[:3]]
         return cls(
             links=links,
             tip_axes=(x, y, z),
             jaw_end=(length * z[0], length * z[1], length * z[2]),
+            wrist=wrist,
+            shaft_end=(wrist[0], wrist[1], wrist[2] - arm.shape.shaft_radius_m),
             T_task_base=((*rows[0],), (*rows[1],), (*rows[2],)),  # type: ignore[arg-type]
         )
 
-    def points(self, q: Joints) -> tuple[Point, Point]:
-        """Control point (jaw pivot) and end of the closed jaw in the task frame, m.
+    def points(self, q: Joints) -> Points:
+        """Control point (jaw pivot), end of the closed jaw, wrist and end of the shaft.
 
         Args:
             q: joint positions, the first six entries are read.
         """
-        first, second = self._in_base(q, (0.0, 0.0, 0.0), self.jaw_end)
-        return self._in_task(first), self._in_task(second)
+        hand, below, arm, above = self.links[:2], q[5:3:-1], self.links[2:], q[3::-1]
+        point, jaw_end = _carried(hand, below, ORIGIN, self.jaw_end)
+        point, jaw_end = _carried(arm, above, point, jaw_end)
+        wrist, shaft_end = _carried(arm, above, self.wrist, self.shaft_end)
+        in_task = self.in_task
+        return in_task(point), in_task(jaw_end), in_task(wrist), in_task(shaft_end)
 
     def tip_pose(self, q: Joints) -> tuple[Row, Row, Row]:
         """First three rows of T_base_tip, for the tests that hold it against other models."""
         x_axis, y_axis, z_axis = self.tip_axes
-        origin, x = self._in_base(q, (0.0, 0.0, 0.0), x_axis)
-        y, z = self._in_base(q, y_axis, z_axis)
+        origin, x = _carried(self.links, q[5::-1], ORIGIN, x_axis)
+        y, z = _carried(self.links, q[5::-1], y_axis, z_axis)
         rows = [(x[i] - p, y[i] - p, z[i] - p, p) for i, p in enumerate(origin)]
         return rows[0], rows[1], rows[2]
 
-    def _in_base(self, q: Joints, first: Point, second: Point) -> tuple[Point, Point]:
-        """Two points of the last joint's frame, seen from the base."""
-        x, y, z = first
-        u, v, w = second
-        for (slides, ca, sa, a, theta, d), position in zip(self.links, q[5::-1], strict=True):
-            angle, rise = (theta, d + position) if slides else (theta + position, d)
-            c, s = cos(angle), sin(angle)
-            z += rise
-            w += rise
-            x, y = c * x - s * y + a, s * x + c * y
-            u, v = c * u - s * v + a, s * u + c * v
-            y, z = ca * y - sa * z, sa * y + ca * z
-            v, w = ca * v - sa * w, sa * v + ca * w
-        return (x, y, z), (u, v, w)
-
-    def _in_task(self, point: Point) -> Point:
+    def in_task(self, point: Point) -> Point:
+        """A point of the base's frame, seen from the task's."""
         x, y, z = point
         (a, b, c, d), (e, f, g, h), (i, j, k, m) = self.T_task_base
         return (
@@ -102,6 +104,24 @@ class Chain:
             e * x + f * y + g * z + h,
             i * x + j * y + k * z + m,
         )
+
+
+def _carried(
+    links: tuple[Link, ...], q: Joints, first: Point, second: Point
+) -> tuple[Point, Point]:
+    """Two points of the first link's frame, seen from before the last link."""
+    x, y, z = first
+    u, v, w = second
+    for (slides, ca, sa, a, theta, d), position in zip(links, q, strict=True):
+        angle, rise = (theta, d + position) if slides else (theta + position, d)
+        c, s = cos(angle), sin(angle)
+        z += rise
+        w += rise
+        x, y = c * x - s * y + a, s * x + c * y
+        u, v = c * u - s * v + a, s * u + c * v
+        y, z = ca * y - sa * z, sa * y + ca * z
+        v, w = ca * v - sa * w, sa * v + ca * w
+    return (x, y, z), (u, v, w)
 
 
 def _point(values: list[float]) -> Point:

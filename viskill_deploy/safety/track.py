@@ -34,7 +34,8 @@ class ArmTrack:
         q: positions of what was sent, (7,) with the jaw last.
         step, bend: first and second difference of `q` over the last periods: speed times period,
             acceleration times period squared.
-        point, jaw_end: control point and jaw end at `q`, task frame, m.
+        point, jaw_end: control point and jaw end at `q`, task frame, m; `points` are the ends of
+            all its parts.
         asked, asked_q, …: the same for what is asked in this cycle.
         speed, acceleration, jerk: what is asked as a part of the limit, (7,), never negative.
         fastest, sharpest, jerkiest: largest speed of the six joints, largest acceleration and
@@ -52,6 +53,7 @@ class ArmTrack:
         "asked_bend",
         "asked_jaw_end",
         "asked_point",
+        "asked_points",
         "asked_q",
         "asked_step",
         "bend",
@@ -64,6 +66,7 @@ class ArmTrack:
         "latency",
         "point",
         "point_speed",
+        "points",
         "q",
         "recent",
         "sent",
@@ -94,7 +97,8 @@ class ArmTrack:
         self.q = self.asked_q = (*setpoint.jp, setpoint.jaw)
         self.step: list[float] = list(NO_JOINTS)
         self.bend: list[float] = list(NO_JOINTS)
-        self.point, self.jaw_end = self.envelope.chain.points(self.q)
+        self.points = self.envelope.chain.points(self.q)
+        self.point, self.jaw_end, _, _ = self.points
         self.sent = setpoint
         self.recent.clear()
         self.recent.append(setpoint)
@@ -112,13 +116,15 @@ class ArmTrack:
         self.fastest = max(self.speed[:6])
         self.sharpest = max(self.acceleration)
         self.jerkiest = max(self.jerk)
-        self.asked_point, self.asked_jaw_end = self.envelope.chain.points(q)
+        self.asked_points = self.envelope.chain.points(q)
+        self.asked_point, self.asked_jaw_end, _, _ = self.asked_points
         self.point_speed = dist(self.asked_point, self.point) * self._rate
 
     def accept(self) -> None:
         """What was asked has gone out."""
         self.sent = self.asked
         self.q, self.step, self.bend = self.asked_q, self.asked_step, self.asked_bend
+        self.points = self.asked_points
         self.point, self.jaw_end = self.asked_point, self.asked_jaw_end
         self.recent.append(self.asked)
 

@@ -20,8 +20,6 @@ from viskill_deploy.sim.materials import CONTACT_SOLIMP, CONTACT_SOLREF, FRICTIO
 LINK_MASS_KG = 1e-6
 """Its weight bends no servo by a nanometre, so gravity need not be compensated link by link, which
 took a twentieth of a physics step."""
-SHAFT_RADIUS_M = 0.0042
-WRIST_RADIUS_M = 0.0025
 FINGER_THICKNESS_M = 0.0014
 FINGER_WIDTH_M = 0.0018
 
@@ -133,13 +131,14 @@ def _servo(
 
 def _add_looks(body: mujoco.MjsBody, name: str, index: int, cell_arm: CellArm) -> None:
     """What is seen of the shaft and the wrist; the wrist also pushes blocks."""
+    shape = cell_arm.arm.shape
     if index == 3:
         length = cell_arm.arm.joints[3].d_m
         body.add_geom(
             name=f"{name}/shaft",
             type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            fromto=[0, 0, -length, 0, 0, -SHAFT_RADIUS_M],
-            size=[SHAFT_RADIUS_M, 0, 0],
+            fromto=[0, 0, -length, 0, 0, -shape.shaft_radius_m],
+            size=[shape.shaft_radius_m, 0, 0],
             material="shaft",
             **Touch.NOTHING.bits,
         )
@@ -148,7 +147,7 @@ def _add_looks(body: mujoco.MjsBody, name: str, index: int, cell_arm: CellArm) -
             name=f"{name}/wrist",
             type=mujoco.mjtGeom.mjGEOM_CAPSULE,
             fromto=[0, 0, 0, cell_arm.arm.joints[5].a_m, 0, 0],
-            size=[WRIST_RADIUS_M, 0, 0],
+            size=[shape.wrist_radius_m, 0, 0],
             material="steel",
             solref=CONTACT_SOLREF,
             **Touch.WRIST.bits,

@@ -1,3 +1,4 @@
+import mujoco
 import numpy as np
 import pytest
 
@@ -6,6 +7,7 @@ from viskill_deploy.core.cell_files import CellArmEntry
 from viskill_deploy.core.description import CellArm, load_cell, load_robot
 from viskill_deploy.kinematics.model import forward_batch
 from viskill_deploy.safety.geometry import Chain
+from viskill_deploy.sim.world import World
 
 PAIRS = [
     (robot, tool)
@@ -60,3 +62,31 @@ def test_a_jaw_angle_after_the_joints_is_not_read():
     chain = Chain.of(load_cell("bipegtransfer").arms[0])
     q = (0.1, -0.2, 0.1, 0.3, 0.2, -0.1)
     assert chain.points((*q, 1.0)) == chain.points(q)
+
+
+@pytest.mark.parametrize("arm", range(2))
+@pytest.mark.invariant("S14")
+def test_shaft_and_wrist_lie_where_the_simulator_has_them(arm):
+    """The ends of the gate's capsules against those of the simulator's, in random poses."""
+    world = World(load_cell("bipegtransfer"))
+    cell_arm = world.cell.arms[arm]
+    chain, name = Chain.of(cell_arm), cell_arm.name
+    data, model = world.data, world.model
+    shaft, wrist = (model.geom(f"{name}/{part}") for part in ("shaft", "wrist"))
+    assert shaft.size[0] == cell_arm.arm.shape.shaft_radius_m
+    assert wrist.size[0] == cell_arm.arm.shape.wrist_radius_m
+    for q in within_limits(cell_arm.arm, 50, 3).tolist():
+        for joint, position in zip(cell_arm.arm.joints, q, strict=True):
+            data.joint(f"{name}/{joint.name}").qpos[0] = position
+        mujoco.mj_kinematics(model, data)
+        point, _, at_wrist, shaft_end = map(np.array, chain.points(tuple(q)))
+        ends = [
+            [
+                data.geom(g.id).xpos + sign * g.size[1] * data.geom(g.id).xmat.reshape(3, 3)[:, 2]
+                for sign in (-1.0, 1.0)
+            ]
+            for g in (shaft, wrist)
+        ]
+        assert min(abs(end - shaft_end).max() for end in ends[0]) < 1e-9
+        for there in (point, at_wrist):
+            assert min(abs(end - there).max() for end in ends[1]) < 1e-9

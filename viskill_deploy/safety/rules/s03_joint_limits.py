@@ -7,8 +7,9 @@ from typing import ClassVar
 
 from viskill_deploy.core.types import Action, Verdict
 from viskill_deploy.safety.cycle import Cycle
-from viskill_deploy.safety.envelope import ArmEnvelope, CellEnvelope
+from viskill_deploy.safety.envelope import CellEnvelope
 from viskill_deploy.safety.ranges import Ranges
+from viskill_deploy.safety.reach import Reach
 from viskill_deploy.safety.rule_base import Needs
 from viskill_deploy.safety.stopping import JointStop
 from viskill_deploy.safety.track import ArmTrack
@@ -34,15 +35,26 @@ class Rule:
             )
             for arm in cell.arms
         )
-        self._reaches = tuple(_Reach(arm, cell.period) for arm in cell.arms)
+        self._reaches = tuple(Reach(arm, cell.period) for arm in cell.arms)
+        # Twice, because half the range here is before the margin is taken off.
+        self._ramps = tuple(
+            max(
+                4.0 * v / (b - a)
+                for v, a, b in zip(arm.max_speed, arm.lower, arm.upper, strict=True)
+            )
+            for arm in cell.arms
+        )
 
     def margin(self, cycle: Cycle) -> float:
         """Distance to the nearest limit less margin, as a part of half the range."""
         parts = []
-        for track, inner, reach in zip(cycle.tracks, self._inner, self._reaches, strict=True):
+        for track, inner, reach, ramp in zip(
+            cycle.tracks, self._inner, self._reaches, self._ramps, strict=True
+        ):
             part = inner.farthest(track.asked_q)
             parts.append(part)
-            is_near = part + reach.at_most(track.fastest, track.sharpest) > 1.0
+            w, time = reach.speed_and_time(track.fastest, track.sharpest)
+            is_near = part + w * ramp * time > 1.0
             if is_near and any(self._is_leaving(track, joint) for joint in range(6)):
                 return -1.0
         return max(1.0 - max(parts), 0.0)
@@ -65,38 +77,3 @@ class Rule:
             return True
         first, last = JointStop(q, v, a, arm.max_acceleration[joint], arm.max_jerk[joint]).extent()
         return first < min(arm.lower[joint], q) or last > max(arm.upper[joint], q)
-
-
-class _Reach:
-    """How far, as a part of half its range, any joint of an arm can travel while it stops.
-
-    With w = |v| + a^2 / 2J, no stop from speed v and acceleration a is longer than
-    w (|a| / J + w / 2A + A / 2J), a reversal included: |a| / J passes at no more than w, and the
-    rest is the way from speed w, where the trapezoid bounds the triangle. Every coefficient is the
-    largest of all joints, so this only says when a closer look is needed.
-    """
-
-    __slots__ = ("_brake", "_lag", "_ramp", "_rise", "_shift")
-
-    def __init__(self, arm: ArmEnvelope, period: float) -> None:
-        rows = list(
-            zip(
-                arm.max_speed[:6],
-                arm.max_acceleration,
-                arm.max_jerk,
-                arm.lower,
-                arm.upper,
-                strict=False,
-            )
-        )
-        self._shift = max(0.5 * period * a / v for v, a, _, _, _ in rows)
-        self._rise = max(0.5 * a * a / (j * v) for v, a, j, _, _ in rows)
-        self._lag = max(a / j for _, a, j, _, _ in rows)
-        self._brake = max(0.5 * v / a for v, a, _, _, _ in rows)
-        # Twice, because half the range here is before the margin is taken off.
-        self._ramp = max(4.0 * v / (high - low) for v, _, _, low, high in rows)
-
-    def at_most(self, speed: float, acceleration: float) -> float:
-        """The bound for speeds and accelerations up to these parts of their limits."""
-        w = speed + acceleration * (self._shift + acceleration * self._rise)
-        return w * self._ramp * (self._lag * (acceleration + 0.5) + w * self._brake)

@@ -1,0 +1,55 @@
+"""How far an arm can still travel once the gate stops it: a bound, cheaper than the stop itself."""
+
+from __future__ import annotations
+
+from viskill_deploy.safety.envelope import ArmEnvelope
+from viskill_deploy.safety.track import ArmTrack
+
+
+class Reach:
+    """No stop of a joint from speed v and acceleration a is longer than w (|a|/J + w/2A + A/2J).
+
+    There w = |v| + a^2 / 2J, and a reversal is included: |a| / J passes at no more than w, and the
+    rest is the way from speed w, where the trapezoid bounds the triangle. Speeds and accelerations
+    are parts of their limits, and every coefficient is the largest of all joints.
+
+    Args:
+        arm: its limits and lengths.
+        period: control period, s.
+        has_jaw: whether `travel` includes the jaw's end.
+    """
+
+    __slots__ = ("_brake", "_full", "_lag", "_offset", "_period", "_push", "_rise", "_shift")
+
+    def __init__(self, arm: ArmEnvelope, period: float, has_jaw: bool = False) -> None:
+        rows = list(zip(arm.max_speed[:6], arm.max_acceleration, arm.max_jerk, strict=False))
+        self._period = period
+        self._shift = max(0.5 * period * a / v for v, a, _ in rows)
+        self._rise = max(0.5 * a * a / (j * v) for v, a, j in rows)
+        self._lag = max(a / j for _, a, j in rows)
+        self._brake = max(0.5 * v / a for v, a, _ in rows)
+        jaw = arm.jaw_length if has_jaw else 0.0
+        tail = arm.wrist_length + jaw
+        self._offset = arm.wrist_offset + tail
+        levers = (1.0, 1.0, 1.0, tail, tail, jaw)
+        self._full = [v * lever for (v, _, _), lever in zip(rows, levers, strict=True)]
+        self._push = [0.5 * a * lever for (_, a, _), lever in zip(rows, levers, strict=True)]
+
+    def speed_and_time(self, speed: float, acceleration: float) -> tuple[float, float]:
+        """The largest w, as a part of full speed, and the time at w that no stop is longer than."""
+        w = speed + acceleration * (self._shift + acceleration * self._rise)
+        return w, self._lag * (acceleration + 0.5) + w * self._brake
+
+    def travel(self, track: ArmTrack) -> float:
+        """Way that no point from the port to the jaw exceeds in a stop from what is asked, m."""
+        f0, f1, f2, f3, f4, f5, _ = track.speed
+        s0, s1, s2, s3, s4, s5, _ = track.acceleration
+        v0, v1, v2, v3, v4, v5 = self._full
+        a0, a1, a2, a3, a4, a5 = self._push
+        sharpest = max(s0, s1, s2, s3, s4, s5)
+        bend = self._period + self._lag * sharpest
+        _, time = self.speed_and_time(track.fastest, sharpest)
+        slide = time * (v2 * f2 + bend * a2 * s2)
+        swing = time * (v0 * f0 + v1 * f1 + bend * (a0 * s0 + a1 * s1))
+        turn = v3 * f3 + v4 * f4 + v5 * f5 + bend * (a3 * s3 + a4 * s4 + a5 * s5)
+        return slide + (self._offset + track.asked_q[2] + slide) * swing + time * turn
