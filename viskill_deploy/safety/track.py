@@ -15,6 +15,9 @@ OLDEST_S = 0.1
 """Feedback of this age is a fault by itself (S18): what was sent before that needs no keeping."""
 JERK_ROUNDING = 1e-7
 """Relative width of the jerk limits: third differences of positions at 1 kHz carry 2e-8 of them."""
+LEAP = 100.0
+"""Parts of full speed beyond which no rule asks where a setpoint would lead: S05 and S08 hold it,
+and what follows from such numbers overflows."""
 NOWHERE: Point = (0.0, 0.0, 0.0)
 NO_JOINTS: Joints = (0.0,) * 7
 NO_SETPOINT = JointSetpoint(NO_JOINTS[:6], NO_JOINTS[:6], 0.0, 0.0)

@@ -412,3 +412,19 @@ def test_a_mechanical_remote_centre_keeps_the_shaft_in_its_own_port(place):
 def test_a_cell_whose_port_is_two_millimetres_off_cannot_be_armed():
     rig = Rig(cell=with_port("bipegtransfer", 1, (0.0, 0.004, 0.0)))
     assert [(v.rule, v.action, v.arm) for v in rig.arm()] == [("S12", Action.STOP, 1)]
+
+
+@pytest.mark.parametrize("joint", range(6))
+@pytest.mark.parametrize("far", [1e3, 1e16, 1e200, -1e308])
+def test_a_leap_to_nowhere_is_left_to_the_rules_on_speed(joint, far):
+    cycle = cycle_at("bipegtransfer")
+    rules = [s12_port.Rule(cycle.envelope), s14_distance.Rule(cycle.envelope)]
+    held = cycle.tracks[1].sent
+    cycle.tracks[1].ask(replace(held, jp=(*held.jp[:joint], far, *held.jp[joint + 1 :])))
+    assert [rule.margin(cycle) for rule in rules] == [pytest.approx(1.0, abs=1e-11), 1.0]
+    cycle.tracks[1].ask(held)
+    assert rules[1].margin(cycle) < 1.0  # and looks again at all of it
+    rig = Rig.running()
+    decision = rig.ask(rig.moved(1, joint, far))
+    assert not decision.passed
+    assert {"S05", "S08"} <= {verdict.rule for verdict in decision.verdicts}

@@ -10,7 +10,7 @@ from viskill_deploy.core.types import Action, Verdict
 from viskill_deploy.safety.cycle import Cycle
 from viskill_deploy.safety.envelope import ROUNDING, CellEnvelope
 from viskill_deploy.safety.rule_base import Needs
-from viskill_deploy.safety.track import ArmTrack
+from viskill_deploy.safety.track import LEAP, ArmTrack
 
 
 class Rule:
@@ -42,7 +42,9 @@ class Rule:
 
 
 def _distance(track: ArmTrack) -> float:
-    """From the port to the line through the wrist and the shaft's end, m."""
+    """From the port to the line through the wrist and the shaft's end, m; 0.0 in a leap."""
+    if track.fastest > LEAP:
+        return 0.0
     _, _, (a, b, c), (d, e, f) = track.asked_points
     x, y, z = track.envelope.port
     u, v, w = d - a, e - b, f - c

@@ -14,7 +14,7 @@ from viskill_deploy.safety.geometry import Points
 from viskill_deploy.safety.reach import Reach
 from viskill_deploy.safety.rule_base import Needs
 from viskill_deploy.safety.stopping import JointStop
-from viskill_deploy.safety.track import ArmTrack
+from viskill_deploy.safety.track import LEAP, ArmTrack
 
 FAR_M = 0.05
 """A margin of 1.0: nothing nearer than this."""
@@ -50,9 +50,12 @@ class Rule:
 
         The true one is at least half of it.
         """
-        if cycle.is_first:
-            self._due, self._next = [-inf] * len(self._apart), -inf
         tracks = cycle.tracks
+        leaps = max([track.fastest for track in tracks]) > LEAP
+        if leaps or cycle.is_first:
+            self._due, self._next = [-inf] * len(self._apart), -inf
+        if leaps:
+            return 1.0
         self._used += 2.0 * sum([self._travelled(track) for track in tracks])
         to_rest = sum([reach.travel(t) for reach, t in zip(self._reaches, tracks, strict=True)])
         if self._used + to_rest > self._next:
