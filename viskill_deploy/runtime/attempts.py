@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from viskill_deploy.bundle.subgoals import KeptSubgoals, SubgoalSource, subgoal_source
-from viskill_deploy.core.errors import DriverError, ViskillError
+from viskill_deploy.core.errors import DriverError, SafetyStop, ViskillError
 from viskill_deploy.core.types import Boundary, CellState, Scene
 from viskill_deploy.runtime.boundaries import Job, held_now, leave
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.moves import axes_of, go_to_start_pose
 from viskill_deploy.runtime.planning import Plan, make_plan
 from viskill_deploy.runtime.session import Session
-from viskill_deploy.runtime.thinking import decide
 
 
 def scene_of(session: Session) -> Scene:
@@ -82,6 +79,9 @@ class Attempts:
     def again(self, boundary: Boundary, result: EpisodeResult) -> Plan | None:
         """After a boundary at which the runtime does not go on: the next attempt's plan.
 
+        While it is made the arms rest and the gate is disarmed: a new attempt is a new motion, and
+        needs the operator's consent like the first.
+
         Returns:
             None when there is no next attempt: the arms are in their start pose then, or under
             the gate's stop, and `result` says why.
@@ -92,16 +92,24 @@ class Attempts:
             return None
         if boundary.course != "retry":
             return None
+        held = held_now(session)
         source: SubgoalSource = subgoal_source(self._job.bundle, self._job.task, self._rng)
-        if any(held_now(session)):  # the skill goes on with what it has; it is told the same
+        if any(held):  # the skill goes on with what it has; it is told the same
             source = KeptSubgoals(self.subgoals, [skill.start for skill in result.skills])
-        self.subgoals = source
+        self.subgoals, plan = source, None
+        session.finish()
+        if session.cause:
+            result.stopped_by = session.cause
+            return None
         try:
-            state, scene = session.read(), scene_of(session)
-            return decide(session, partial(self.plan, state, scene, boundary.skill))
+            plan = self.plan(session.read(), scene_of(session), boundary.skill)
         except (ViskillError, ValueError) as error:
-            reason = f"not tried again: {error}"
-        if not go_to_start_pose(session, held_now(session)):
+            result.reason = f"not tried again: {error}"
+        try:
+            session.begin()
+        except SafetyStop as error:
+            result.reason = f"not tried again: {error}"
+            return None
+        if plan is None and not go_to_start_pose(session, held):
             session.come_to_rest(result)
-        result.reason = result.reason or reason
-        return None
+        return plan

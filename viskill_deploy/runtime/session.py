@@ -220,7 +220,9 @@ class Session:
         return state
 
     def finish(self) -> None:
-        """The motion has ended by itself, at rest: the gate is disarmed."""
+        """The motion has ended by itself, at rest: the gate is disarmed. May be called twice."""
+        if not self._is_moving:
+            return
         for _ in range(LAST_CYCLES):
             if not self.cycle() or self.gate.disarm() is Mode.CONNECTED:
                 break
