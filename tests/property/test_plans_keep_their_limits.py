@@ -10,7 +10,7 @@ from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import MotionError
 from viskill_deploy.core.types import Waypoint
 from viskill_deploy.motion.limits import PlanLimits
-from viskill_deploy.motion.plan import JointPlan, smooth
+from viskill_deploy.motion.plan import JointPlan, Part, smooth
 from viskill_deploy.motion.resolve import densified, resolve, task_poses
 from viskill_deploy.motion.smoothing import peaks
 from viskill_deploy.motion.waypoints import ActionSpec, apply_action, start_waypoint
@@ -175,3 +175,25 @@ def test_a_roll_that_would_have_to_unwind_is_refused_with_its_waypoint() -> None
         waypoints.append(waypoint)
     with pytest.raises(MotionError, match=r"roll reaches its limit at waypoint \d+"):
         resolve(CELL, waypoints, joint_start())
+
+
+def test_a_plan_rests_where_it_is_told_to_and_its_parts_make_the_whole() -> None:
+    waypoints = densified(random_waypoints(4))
+    q = resolve(CELL, waypoints, joint_start())[1:]
+    free = smooth(CELL, q, 0.2)
+    where = next(
+        i
+        for i in range(4, len(q) - 4)
+        if any(abs(v) > 0.01 for m in free.at(free.waypoint_times[i]) for v in m.v)
+    )
+    plan = smooth(CELL, q, 0.2, rests=[where])
+    middle = plan.waypoint_times[where]
+    for motion, axes in zip(plan.at(middle), q[where], strict=True):
+        np.testing.assert_allclose(motion.p, axes, atol=1e-6)
+        assert max(map(abs, motion.v)) < 1e-6
+    parts = [Part(plan, 0.0, middle), Part(plan, middle, plan.duration_s - middle)]
+    for time in np.linspace(0.0, plan.duration_s, 50):
+        part, start = (parts[0], 0.0) if time <= middle else (parts[1], middle)
+        assert [m.p for m in part.at(time - start)] == [m.p for m in plan.at(time)]
+    assert parts[0].at(middle + 1.0) == parts[0].at(middle)
+    assert parts[1].at(-1.0) == parts[1].at(0.0)

@@ -158,7 +158,7 @@ class Boundaries:
         """The same, in result and record."""
         self._result.boundaries.append(seen)
         now, episode = self._session.driver.clock.now(), self._result.episode
-        self._session.recorder.mark(now, episode, seen.before, 0, boundary=seen)
+        self._session.recorder.mark(now, episode, seen.skill, 0, boundary=seen)
         return seen
 
     def _tests(self) -> list[GraspTest]:

@@ -16,8 +16,17 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import RecordingError
-from viskill_deploy.core.types import Action, Mode, Request, SkillStart, Verdict
+from viskill_deploy.core.types import (
+    Action,
+    Boundary,
+    GraspTest,
+    Mode,
+    Request,
+    SkillStart,
+    Verdict,
+)
 from viskill_deploy.observe import figures, messages
+from viskill_deploy.observe.boundaries import boundary_of
 from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.observe.recording import Recorder
 
@@ -312,3 +321,17 @@ def test_what_was_decided_at_a_skills_start_is_recorded_with_its_first_step(tmp_
     assert drawn["name"] == "subgoals"
     assert drawn["x"] == [10.0, 0.0] * 2
     assert drawn["text"] == ["lift, subgoal"] * 2 + ["place, subgoal"] * 2
+
+
+def test_what_was_decided_between_two_skills_is_recorded(tmp_path):
+    cell = load_cell("bipegtransfer")
+    grasps = (GraspTest("PSM2", 0.01, -0.001, 0.07, True),)
+    told = Boundary("lift", "place", grasps, 0.9, 0.5, "retry", "lift")
+    with Recorder(tmp_path / "bag", cell, synthetic.PERIOD_S, patience_s=30.0) as recorder:
+        synthetic.feed(recorder, cell, range(10))
+        recorder.mark(5.1, 0, told.skill, 0, boundary=told)
+    reach, boundary = read_recording(tmp_path / "bag", 0).marks
+    assert reach.boundary is None
+    assert boundary.skill == "lift"
+    assert boundary.boundary is not None
+    assert boundary_of(boundary.boundary) == told

@@ -146,6 +146,15 @@ def test_a_letter_that_is_lost_out_of_reach_is_not_tried_again_and_the_reason_is
     np.testing.assert_allclose(notes.sent[-1], notes.sent[0], atol=1e-3)
 
 
+def test_a_ring_that_is_lost_on_its_way_is_noticed_before_the_next_skill():
+    when = once(lifted(1, 0.002), np.array([0.02, 0.0, 0.0]))
+    result, notes, session = knocked(trained(RING, retries=0), layout(RING), when)
+    assert notes.boundaries[-1].course == "safe pose"
+    assert [grasp.arm for grasp in notes.boundaries[-1].lost] == ["PSM2"]
+    assert session.ledger.interventions == 0
+    assert not result.success
+
+
 @pytest.fixture
 def standing():
     driver, notes = KnockingDriver(BLOCK.cell), Notes()

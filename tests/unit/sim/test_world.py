@@ -186,3 +186,43 @@ def test_the_active_block_is_red_and_the_goal_peg_green() -> None:
     others = [thing.name for thing in scene.objects if thing.name != scene.active]
     assert all(world.model.geom(f"{name}/wall0").matid[0] == blue for name in others)
     assert world.model.geom("peg2").matid[0] == world.model.material("goal_peg").id
+
+
+def test_a_thing_that_is_knocked_is_elsewhere_at_rest_and_falls() -> None:
+    world = World(TASK.cell)
+    world.reset(layout())
+    before = {o.name: o.T_task_object for o in world.scene().objects}
+    world.knock([0.01, 0.0, 0.04])
+    thing = world.active_object()
+    assert thing.T_task_object[:3, 3] - before[layout().active][:3, 3] == pytest.approx(
+        [0.01, 0.0, 0.04]
+    )
+    assert thing.speed_m_s == 0.0
+    for other in world.scene().objects:
+        if other.name != layout().active:
+            assert np.array_equal(other.T_task_object, before[other.name])
+    for _ in range(10):
+        world.step(still(world.home))
+    assert world.active_object().T_task_object[2, 3] < thing.T_task_object[2, 3] - 0.005
+
+
+def test_a_door_cannot_be_knocked_out_of_anything() -> None:
+    panel = load_task("matchboardpanel")
+    world = World(panel.cell)
+    scene = panel.sample_layout(np.random.default_rng(0), "reference")
+    world.reset(scene)
+    world.attend("door0", scene.goal)
+    with pytest.raises(ViskillError, match="'door0' is no free thing"):
+        world.knock([0.0, 0.02, 0.0])
+
+
+def test_a_jaw_that_starts_squeezing_keeps_what_is_in_it() -> None:
+    """Arms told to stay where they are would let go: only a setpoint says how much they squeeze."""
+    world = World(TASK.cell)
+    world.reset(layout())
+    axes, told = world.home.copy(), world.home.copy()
+    axes[:, 6], told[:, 6] = 0.2, -0.349
+    world.reset(layout(), axes)
+    assert world.measured(0).jaw == pytest.approx(0.2, abs=0.01)
+    world.reset(layout(), axes, told)
+    assert world.measured(0).jaw == pytest.approx(0.0, abs=0.01)
