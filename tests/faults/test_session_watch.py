@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 from test_session_faults import CELL, FaultyDriver, Notebook, assert_stopped_smoothly, run_out
 
+from viskill_deploy.core import realtime
 from viskill_deploy.core.errors import DriverError, SafetyStop
-from viskill_deploy.core.types import CellState, Inputs, Mode
+from viskill_deploy.core.types import CellState, Inputs, Mode, Verdict
 from viskill_deploy.drivers.base import DISABLED
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.motion.waypoints import ActionSpec, apply_action
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.moves import axes_of
 from viskill_deploy.runtime.session import Session
+from viskill_deploy.safety.supervisor import Supervisor
 from viskill_deploy.sim.tasks.base import load_task
 
 pytestmark = pytest.mark.invariant("S25", "S26")
@@ -43,8 +45,9 @@ class Listener:
         pass
 
 
-def moving() -> tuple[Session, FaultyDriver, Listener]:
+def moving(stepped: bool = True) -> tuple[Session, FaultyDriver, Listener]:
     driver, listener = FaultyDriver(), Listener()
+    driver.capabilities = replace(driver.capabilities, stepped=stepped)
     driver.watch = listener
     driver.connect()
     driver.reset(load_task("bipegtransfer").sample_layout(np.random.default_rng(0), "reference"))
@@ -126,3 +129,28 @@ def test_a_driver_in_real_time_without_a_watchdog_is_refused() -> None:
     driver.capabilities = replace(driver.capabilities, stepped=False)
     with pytest.raises(DriverError, match="watchdog"):
         Session(CELL, driver, Line(CELL, driver.period_s), Notebook())
+
+
+def test_real_time_is_asked_for_before_the_gate_is_armed_and_given_back_at_rest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It may take a quarter of a second, in which the feedback grows old."""
+    done: list[str] = []
+    monkeypatch.setattr(realtime, "prepare", lambda: done.append("prepare"))
+    monkeypatch.setattr(realtime, "release", lambda: done.append("release"))
+    arm = Supervisor.arm
+
+    def armed(gate: Supervisor, state: CellState, now: float) -> tuple[Verdict, ...]:
+        done.append("arm")
+        return arm(gate, state, now)
+
+    monkeypatch.setattr(Supervisor, "arm", armed)
+    session, _, listener = moving(stepped=False)
+    assert done == ["prepare", "arm"]
+    session.settle()
+    assert done == ["prepare", "arm", "release"]
+    listener.has_stepped_in = True
+    session.make_ready()
+    with pytest.raises(SafetyStop, match="S25"):
+        session.begin()
+    assert done == ["prepare", "arm", "release"] * 2
