@@ -220,6 +220,11 @@ class World:
         *jp, jaw = self.imperfections.measured(arm, q[:AXES]).tolist()
         return ArmReading(tuple(jp), tuple(v[:6].tolist()), jaw, float(v[6] + v[7]))
 
+    def tips(self) -> FloatArray:
+        """Where the tips really are now, task frame, (arms, 3) m."""
+        mujoco.mj_kinematics(self.model, self.data)  # a step leaves poses of before it
+        return np.array([self.data.site(f"{arm.name}/tip").xpos for arm in self.cell.arms])
+
     def scene(self) -> Scene:
         """Where the things are, as a camera would tell, with noise where asked for."""
         objects = []

@@ -1,0 +1,132 @@
+"""Measurements are taken through the gate, and none is lost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from silent_recorder import SilentRecorder
+
+from viskill_deploy.calibrate.collect import Collected, collect
+from viskill_deploy.calibrate.measurements import load
+from viskill_deploy.calibrate.programme import choose_poses
+from viskill_deploy.calibrate.sources import SimulatedTracker, TrackerOptions
+from viskill_deploy.core.arm_errors import ArmErrors, with_errors
+from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.errors import CalibrationError, SafetyStop
+from viskill_deploy.core.types import FloatArray
+from viskill_deploy.drivers.loopback import LoopbackDriver
+from viskill_deploy.motion.resolve import task_poses
+from viskill_deploy.runtime.line import Line
+from viskill_deploy.runtime.session import Session
+from viskill_deploy.sim.tasks.base import load_task
+from viskill_deploy.sim.world import WorldOptions
+
+CELL = load_cell("bipegtransfer")
+COUNT = 10
+POSES = np.stack([choose_poses(CELL, arm, COUNT, seed=0) for arm in range(2)], axis=1)
+CLEAN = TrackerOptions(noise_m=0.0, outlier_share=0.0)
+
+
+class Interrupting(SimulatedTracker):
+    """Fails at a look, as a cable that is pulled would."""
+
+    left = 10**9
+
+    def look(self, now: float) -> None:
+        super().look(now)
+        self.left -= 1
+        if self.left < 0:
+            raise KeyboardInterrupt
+
+
+def _collect(
+    folder: Path,
+    looks: int = 10**9,
+    options: TrackerOptions = CLEAN,
+    truth: tuple[ArmErrors, ...] = (),
+    poses: FloatArray = POSES,
+    programme: str = "seed 0",
+) -> Collected:
+    driver = LoopbackDriver(CELL, WorldOptions(truth=truth))
+    driver.connect()
+    driver.reset(load_task("bipegtransfer").sample_layout(np.random.default_rng(0), "reference"))
+    source = Interrupting(driver.world, options)
+    source.left = looks
+    line = Line(CELL, driver.period_s)
+    with Session(CELL, driver, line, SilentRecorder()) as session:
+        return collect(session, source, poses, folder, programme)
+
+
+def test_what_is_measured_is_where_the_arms_are(tmp_path: Path) -> None:
+    truth = (ArmErrors(base_translation_m=(0.003, 0.0, -0.002)), ArmErrors())
+    found = _collect(tmp_path, truth=truth)
+    assert (found.measured, found.skipped) == (COUNT, 0)
+    really = with_errors(CELL, {"PSM1": truth[0]})
+    for index, path in enumerate(found.files.values()):
+        m = load(path)
+        is_moving = m.speeds.any(axis=1)
+        assert (~is_moving).sum() == COUNT
+        assert is_moving.sum() == 4
+        there = task_poses(really, index, m.joints)[:, :3, 3]
+        np.testing.assert_allclose(m.points, there, atol=2e-5)
+        assert set(np.unique(m.turns)) <= {-1.0, 0.0, 1.0}
+        assert (m.turns[1:] != 0.0).mean() > 0.9
+
+
+def test_the_delay_of_a_tracker_shows_on_the_move_alone(tmp_path: Path) -> None:
+    found = _collect(tmp_path, options=TrackerOptions(0.0, 0.0, 0.02, (0.03, 0.03)))
+    m = load(found.files["PSM1"])
+    is_moving = m.speeds.any(axis=1)
+    off = np.linalg.norm(m.points - task_poses(CELL, 0, m.joints)[:, :3, 3], axis=1)
+    assert off[~is_moving].max() < 2e-5
+    assert off[is_moving].min() > 2e-4
+
+
+def test_a_collection_that_was_cut_off_goes_on_where_it_was(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        _collect(tmp_path, looks=1200)
+    kept = load(tmp_path / "PSM1.csv")
+    assert 2 <= len(kept) < COUNT
+    with (tmp_path / "PSM1.csv").open("a") as file:
+        file.write("0.1,0.2")  # a row that was being written
+    found = _collect(tmp_path)
+    m = load(found.files["PSM1"])
+    assert (~m.speeds.any(axis=1)).sum() == COUNT
+    np.testing.assert_array_equal(m.points[: len(kept)], kept.points)
+
+
+def test_a_folder_of_another_programme_is_refused(tmp_path: Path) -> None:
+    _collect(tmp_path, poses=POSES[:2])
+    with pytest.raises(CalibrationError, match="another programme"):
+        _collect(tmp_path, programme="seed 1")
+
+
+def test_poses_that_the_gate_would_refuse_are_left_out(tmp_path: Path) -> None:
+    poses = POSES[:3].copy()
+    poses[1, 0, 2] = 0.235  # far below the floor
+    found = _collect(tmp_path, poses=poses)
+    assert (found.measured, found.skipped) == (2, 1)
+
+
+def test_a_gate_that_steps_in_ends_it_and_what_was_measured_stays(tmp_path: Path) -> None:
+    driver = LoopbackDriver(CELL)
+    driver.connect()
+    driver.reset(load_task("bipegtransfer").sample_layout(np.random.default_rng(0), "reference"))
+
+    class Pressing(SimulatedTracker):
+        looks = 0
+
+        def look(self, now: float) -> None:
+            super().look(now)
+            self.looks += 1
+            if self.looks == 1200:
+                driver.say(estop=True)
+
+    line = Line(CELL, driver.period_s)
+    with Session(CELL, driver, line, SilentRecorder()) as session:
+        source = Pressing(driver.world, CLEAN)
+        with pytest.raises(SafetyStop, match="S23"):
+            collect(session, source, POSES, tmp_path, "seed 0")
+    assert len(load(tmp_path / "PSM1.csv")) >= 2
