@@ -6,7 +6,7 @@ BUNDLE ?= policies/bipegtransfer-viskill
 # The CPU suffices for training and tests; name another build of torch here if you have a GPU.
 TORCH  ?= torch==2.13.0
 
-.PHONY: demo test lint unit slow wheel-check bench figures hazards mutation numbers clean
+.PHONY: demo test lint unit slow wheel-check bench figures hazards mutation numbers faults false-trips clean
 
 demo: $(VENV)/.runtime
 	$(BIN)/viskill dry-run $(BUNDLE)
@@ -23,7 +23,7 @@ lint: $(VENV)/.dev
 
 unit: $(VENV)/.dev
 	rm -f .coverage .coverage.*
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal --cov --cov-report= -m "not slow"
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal --cov --cov-report= -m "not slow and not faults"
 	$(BIN)/coverage html -q
 	$(BIN)/coverage report --fail-under=90 | tail -n 25
 	$(BIN)/coverage report --include='viskill_deploy/safety/*' --fail-under=100
@@ -64,6 +64,15 @@ mutation: $(VENV)/.dev
 # tests/golden/gate_numbers.json: every threshold of the gate, after one was changed on purpose.
 numbers: $(VENV)/.dev
 	$(BIN)/python tests/support/gate_numbers.py
+
+# Every fault in every phase on the served loopback, against the clock; about ten minutes.
+faults: $(VENV)/.dev
+	OMP_NUM_THREADS=1 $(BIN)/pytest -m faults tests/faults
+	@echo "make faults: each fault met its declared reaction in real time."
+
+# A thousand nominal dry-runs with noise, jitter and losses; resumable, an hour or more of one core.
+false-trips: $(VENV)/.runtime
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/no_false_trips.py
 
 # docs/hazards.md: hazard, invariant, code and tests, from data and markers.
 hazards: $(VENV)/.dev

@@ -6,6 +6,7 @@ The arms start from rest there and are under way when the fault strikes.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -135,7 +136,10 @@ class Notebook:
     def cycle(self, now: float, state: CellState, request: object, *rest: Any) -> None:
         self.actions.append(rest[1])
         self.modes.append(rest[3])
-        arms = self._driver.state().arms
+        try:
+            arms = self._driver.state().arms
+        except DriverError:  # it has refused something; there is a next time
+            return
         held = tuple(x for arm in arms for x in (*arm.setpoint_jp, arm.jaw_setpoint_jp))
         self.robot.append((arms[0].stamp_s, held))
 
@@ -196,15 +200,22 @@ def run_cell(driver: Any, phase: Phase, fault: Fault, recorder: Recorder | None 
         facts, cause = faults.struck[0].facts(), ""
         session.settle()
     mode, leap = session.gate.mode, _leap(notebook.robot, session)
-    before = driver.state()
+    before = _state(driver)
     driver.clock.sleep_until(driver.clock.now() + 5 * driver.period_s)
-    after = driver.state()
+    after = _state(driver)
     arms = list(zip(before.arms, after.arms, strict=True))
     creep = max(
         abs(p - q) for a, b in arms for p, q in zip(a.setpoint_jp, b.setpoint_jp, strict=True)
     )
     speed = max(abs(v) for arm in after.arms for v in arm.measured_jv)
     return Cell(facts, cause, mode, session.overruns, leap, creep, speed)
+
+
+def _state(driver: Any) -> CellState:
+    """The state of a driver that may first have to say what it has refused."""
+    while True:
+        with contextlib.suppress(DriverError):
+            return driver.state()
 
 
 def _go(session: Session, waypoints: Sequence[Waypoint], is_over: Any) -> None:
