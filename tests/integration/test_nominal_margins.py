@@ -37,5 +37,5 @@ def test_a_scripted_run_comes_to_no_threshold(name, tmp_path):
 @pytest.mark.parametrize("name", TASKS)
 @pytest.mark.timeout(1200)
 @pytest.mark.invariant("S33")
-def test_ten_runs_of_every_kind_come_to_no_threshold(name, driver, mode, distribution, tmp_path):
-    keeps_its_distance(name, driver, tmp_path, mode, distribution, 10)
+def test_five_runs_of_every_kind_come_to_no_threshold(name, driver, mode, distribution, tmp_path):
+    keeps_its_distance(name, driver, tmp_path, mode, distribution, 5)

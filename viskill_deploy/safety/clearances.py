@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 
 from viskill_deploy.core.cell_files import CellFile
-from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.description import ArmDescription, CellDescription
 from viskill_deploy.core.errors import DataFileError
 from viskill_deploy.safety import ceilings
 from viskill_deploy.safety.distances import between_segments, segment_to_box, shortened
@@ -23,8 +23,12 @@ PARTS = ("shaft", "wrist", "jaw")
 FAR_M = 1.0
 """The board's and the table's top go on to here, and below it everything is board or table."""
 
+KEYS = ("slow_m", "stop_m", "spare_m")
+NOWHERE: tuple[Point, Point] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
 Box = tuple[str, Point, Point, float]
 """Kind, lower and upper corner, m, and rounding radius, m."""
+_Found = tuple[str, tuple[int, int], tuple[int, int], tuple[Point, Point], float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,30 +85,19 @@ def clearances(cell: CellDescription) -> tuple[Apart, ...]:
             distance is less than the gate accepts, or too large to be meant.
     """
     path, given = cell.files[0], cell.file.distances
-    found = list(_arm_pairs(cell)) + list(_scene_pairs(cell))
+    found = list(_found(cell))
     _check_names(path, cell.file, {name for name, *_ in found})
     for name, clearance in given.apart.items():
         slow, stop = ceilings.LEAST_APART.get(name, (math.ulp(0.0), math.ulp(0.0)))
         most_spare = ceilings.MAX_SPARE_M if name == "shaft_wrist" else 0.0
-        for key, value, low, high in (
-            ("slow_m", clearance.slow_m, slow, ceilings.MAX_APART_M),
-            ("stop_m", clearance.stop_m, stop, clearance.slow_m),
-            ("spare_m", clearance.spare_m, 0.0, most_spare),
-        ):
+        bounds = ((slow, ceilings.MAX_APART_M), (stop, clearance.slow_m), (0.0, most_spare))
+        for key, (low, high) in zip(KEYS, bounds, strict=True):
+            value = getattr(clearance, key)
             ceilings.check(path, f"distances.apart.{name}.{key}", value, low, high)
     return tuple(
-        Apart(
-            name,
-            arms,
-            parts,
-            box,
-            radius,
-            float(given.apart[name].slow_m),
-            float(given.apart[name].stop_m),
-            float(given.apart[name].spare_m),
-        )
-        for name, arms, parts, box, radius in found
-        if name in given.apart
+        Apart(*pair, *(getattr(given.apart[pair[0]], key) for key in KEYS))
+        for pair in found
+        if pair[0] in given.apart
     )
 
 
@@ -120,45 +113,25 @@ def _check_names(path: Path, file: CellFile, there: set[str]) -> None:
             raise DataFileError(path, f"distances: {min(names)}", why)
 
 
-_Found = tuple[str, tuple[int, int], tuple[int, int], tuple[Point, Point], float]
-_NOWHERE: tuple[Point, Point] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-
-
-def _radii(cell: CellDescription, arm: int) -> tuple[float, float, float]:
+def _radii(arm: ArmDescription) -> tuple[float, float, float]:
     """Of shaft, wrist and jaw; a jaw counts as open as it can be, m."""
-    description = cell.arms[arm].arm
-    shape, jaw = description.shape, description.jaw
+    shape, jaw = arm.shape, arm.jaw
     opened = jaw.finger_length_m * math.sin(min(max(jaw.upper_rad, 0.0), math.pi) / 2.0)
     return shape.shaft_radius_m, shape.wrist_radius_m, shape.jaw_radius_m + opened
 
 
-def _arm_pairs(cell: CellDescription) -> Iterator[_Found]:
-    for arms in combinations(range(len(cell.arms)), 2):
-        radii = [_radii(cell, arm) for arm in arms]
-        for one in range(3):
-            for other in range(3):
-                # The thicker part first, so that a pair has one name.
-                (a, p), (b, r) = sorted([(one, 0), (other, 1)])
-                yield (
-                    f"{PARTS[a]}_{PARTS[b]}",
-                    (arms[p], arms[r]),
-                    (a, b),
-                    _NOWHERE,
-                    radii[p][a] + radii[r][b],
-                )
-
-
-def _scene_pairs(cell: CellDescription) -> Iterator[_Found]:
-    for arm in range(len(cell.arms)):
-        for part, own in enumerate(_radii(cell, arm)):
-            for kind, lower, upper, radius in standing(cell.file):
-                yield (
-                    f"{PARTS[part]}_{kind}",
-                    (arm, -1),
-                    (part, -1),
-                    (lower, upper),
-                    own + radius,
-                )
+def _found(cell: CellDescription) -> Iterator[_Found]:
+    """Every part of every arm with every part of every other, and with all that stands."""
+    radii = [_radii(arm.arm) for arm in cell.arms]
+    for arms in combinations(range(len(radii)), 2):
+        for parts in product(range(len(PARTS)), repeat=2):
+            # The thicker part first, so that a pair has one name.
+            (a, i), (b, j) = sorted(zip(parts, arms, strict=True))
+            yield f"{PARTS[a]}_{PARTS[b]}", (i, j), (a, b), NOWHERE, radii[i][a] + radii[j][b]
+    for arm, own in enumerate(radii):
+        for part, (kind, lower, upper, radius) in product(range(len(PARTS)), standing(cell.file)):
+            name = f"{PARTS[part]}_{kind}"
+            yield name, (arm, -1), (part, -1), (lower, upper), own[part] + radius
 
 
 def standing(file: CellFile) -> Iterator[Box]:
