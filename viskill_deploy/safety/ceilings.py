@@ -94,8 +94,8 @@ MAY_TOUCH: Final = frozenset(
 LEAST_APART: Final = {
     "shaft_shaft": (0.004, 0.002),
     "shaft_wrist": (0.002, 0.001),
-    "wrist_wrist": (0.0005, 0.00025),
-    "shaft_peg": (0.004, 0.002),
+    "wrist_wrist": (0.0001, 0.00005),
+    "shaft_peg": (0.003, 0.0015),
     "shaft_plate": (0.004, 0.002),
     "wrist_plate": (0.002, 0.001),
     "shaft_door": (0.004, 0.002),
