@@ -13,7 +13,7 @@ from viskill_deploy.core.types import Mode
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.observe.recording import Recorder
-from viskill_deploy.runtime.faults import FAULTS
+from viskill_deploy.runtime.faults import FAULTS, TOLERATED
 
 OWN_PROCESS = ("kill-runtime", "recorder-full")
 """Faults that need a recorder, or a runtime, in a process of its own."""
@@ -45,6 +45,15 @@ def test_each_fault_in_each_phase_has_its_declared_reaction(driver, name, phase)
         assert cell.mode is Mode.FAULT
     if cell.facts["seen_action"] == "ESTOP":
         assert cell.mode is Mode.ESTOPPED
+
+
+@pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 86400.0, -86400.0])
+@pytest.mark.invariant("S21")
+def test_a_jump_of_the_date_changes_nothing(driver, monkeypatch, jump_s: float) -> None:
+    date, reads = time.time, iter(range(1_000_000))
+    monkeypatch.setattr(time, "time", lambda: date() + jump_s * (next(reads) % 2))
+    cell = run_cell(driver, phases()["lift"], BY_NAME["duplicate"])
+    assert complaints(cell, TOLERATED) == []
 
 
 class Paced(Recorder):
