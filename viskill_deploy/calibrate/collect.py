@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Callable, Mapping
@@ -16,6 +17,7 @@ from viskill_deploy.calibrate.measurements import Measurements
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import CalibrationError, MotionError, SafetyStop
 from viskill_deploy.core.types import CellState, FloatArray
+from viskill_deploy.kinematics.model import tip_positions
 from viskill_deploy.motion.plan import smooth
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.runtime.moves import axes_of
@@ -26,10 +28,18 @@ REST_STEPS = 2
 """Policy steps that the arms rest at a pose before it is measured: 0.4 s."""
 
 MOVING_EVERY = 3
-"""Every third pose is also measured on the way to it: only moving joints show a delay."""
+"""A third of the poses, those with the fastest ways, are also measured on the way to them: only
+moving joints show a delay."""
+
+LOOKS = 12
+"""Moments of a way at which its speed is looked at."""
 
 TURN_RAD = 1e-3
 """A wrist joint that moved by less has not turned."""
+
+STEP_RAD = 0.4
+"""Largest joint motion in one policy step: a wrist that turns at its full speed would swing the arm
+behind it beyond its jerk limit."""
 
 LOT = 8
 """Poses that are planned and rehearsed together."""
@@ -132,34 +142,39 @@ class _Visits:
     Attributes:
         plan: the plan.
         rows: axis positions at its waypoints, (n, arms, 7).
+        arrivals: index of the waypoint at which each pose is reached.
     """
 
     plan: Plan
     rows: FloatArray
+    arrivals: tuple[int, ...]
 
 
 def _visits(session: Session, poses: FloatArray) -> _Visits:
     """Plans and rehearses: to each pose, and a rest there."""
     state = session.read()
     held = axes_of(state)
-    rows = [held]
+    rows, arrivals = [held], []
     for pose in poses:
-        row = held.copy()
-        row[:, :6] = pose
-        rows += [row] * (1 + REST_STEPS)
+        last, goal = rows[-1], held.copy()
+        goal[:, :6] = pose
+        steps = max(1, math.ceil(float(np.abs(goal - last).max()) / STEP_RAD))
+        rows += [last + (goal - last) * (k / steps) for k in range(1, steps)]
+        arrivals.append(len(rows))
+        rows += [goal] * (1 + REST_STEPS)
     table = np.array(rows)
     cell: CellDescription = session.cell
     motion = smooth(cell, table, cell.file.motion.step_s)
     plan = Plan(tuple(waypoint_at(cell, row) for row in rows), motion, {})
     plan.check(cell, session.driver.period_s, state, session.line.ik_solver)
-    return _Visits(plan, table)
+    return _Visits(plan, table, tuple(arrivals))
 
 
 def _stream(
     session: Session, source: PointSource, visits: _Visits, books: list[_Book], first: int
 ) -> None:
     """Streams a lot and measures on the way."""
-    due = _moments(visits, first)
+    due = _moments(session.cell, visits, first)
     motion = visits.plan.motion
     turns = np.zeros((len(books), 3))
     session.line.follow(motion)
@@ -184,16 +199,35 @@ def _stream(
             )
 
 
-def _moments(visits: _Visits, first: int) -> list[tuple[float, int, bool]]:
+def _moments(cell: CellDescription, visits: _Visits, first: int) -> list[tuple[float, int, bool]]:
     """When to measure: plan time, pose, and whether on the way to it."""
-    times, moments = visits.plan.motion.waypoint_times, []
-    stride = 1 + REST_STEPS
-    for k in range((len(visits.rows) - 1) // stride):
-        there, end = 1 + k * stride, (k + 1) * stride
-        if (first + k) % MOVING_EVERY == 0:
-            moments.append(((times[there - 1] + times[there]) / 2, first + k, True))
-        moments.append((times[end] - 1e-6, first + k, False))
-    return moments
+    times = visits.plan.motion.waypoint_times
+    at_rest = [times[there + REST_STEPS] for there in visits.arrivals]
+    left = [0.0, *at_rest[:-1]]
+    ways = [
+        _fastest(cell, visits, start, times[there])
+        for start, there in zip(left, visits.arrivals, strict=True)
+    ]
+    slowest_first = sorted(range(len(ways)), key=lambda pose: ways[pose][1])
+    moving = slowest_first[-math.ceil(len(ways) / MOVING_EVERY) :]
+    moments = [(ways[pose][0], first + pose, True) for pose in moving]
+    moments += [(time - 1e-6, first + pose, False) for pose, time in enumerate(at_rest)]
+    return sorted(moments)
+
+
+def _fastest(
+    cell: CellDescription, visits: _Visits, start: float, end: float
+) -> tuple[float, float]:
+    """When on a way the slower of the arms' tips is fastest, and how fast that is, s and m/s."""
+    times = np.linspace(start, end, LOOKS)
+    axes = np.array([[arm.p for arm in visits.plan.motion.at(time)] for time in times])
+    speeds = []
+    for index, arm in enumerate(cell.arms):
+        steps = np.diff(tip_positions(arm.arm, axes[:, index, :6]), axis=0)
+        speeds.append(np.linalg.norm(steps, axis=1) / (times[1] - times[0]))
+    slower = np.min(speeds, axis=0)
+    best = int(np.argmax(slower))
+    return float(times[best] + times[best + 1]) / 2.0, float(slower[best])
 
 
 def _measure(

@@ -61,7 +61,7 @@ NAMES = tuple(parameter.name for parameter in PARAMETERS)
 USUAL: FloatArray = np.array([parameter.usual for parameter in PARAMETERS])
 
 BASE_ROTATION, BASE_TRANSLATION = slice(0, 3), slice(3, 6)
-OFFSETS = slice(6, 12)
+OFFSETS, INSERTION = slice(6, 12), 8
 TOOL_LENGTH, POINT = 12, 13
 BACKLASH, COUPLING = slice(14, 17), slice(17, 26)
 DELAY = 26

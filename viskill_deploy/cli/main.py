@@ -18,6 +18,7 @@ import typer
 
 from viskill_deploy.cli import (
     bring,
+    calibrate,
     doctor,
     dry_run,
     evaluate,
@@ -47,6 +48,7 @@ app.command("train", epilog=train.EXAMPLE)(train.command)
 app.command("evaluate", epilog=evaluate.EXAMPLE)(evaluate.command)
 app.command("sweep", epilog=sweep.EXAMPLE)(sweep.command)
 app.command("reproduce", epilog=reproduce.EXAMPLE)(reproduce.command)
+app.add_typer(calibrate.app, name="calibrate")
 app.command("export", epilog=export.EXAMPLE)(export.command)
 app.add_typer(bring.app, name="import")
 

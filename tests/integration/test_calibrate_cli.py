@@ -1,0 +1,65 @@
+"""`viskill calibrate` from the command line: measure a hidden robot, fit it, study it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from viskill_deploy.calibrate.truths import draw_truth
+from viskill_deploy.cli.main import app
+from viskill_deploy.core.calibration_files import calibrated, read_calibration
+from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.errors import CalibrationError
+
+RUN = CliRunner()
+
+
+def test_a_hidden_robot_is_measured_fitted_and_found(tmp_path: Path) -> None:
+    points, file = tmp_path / "points", tmp_path / "calibration" / "cell.json"
+    collect = ["calibrate", "collect", str(points), "--samples", "24", "--truth", "3"]
+    done = RUN.invoke(app, [*collect, "--outliers", "0"])
+    assert done.exit_code == 0, done.output
+    fit = ["calibrate", "fit", str(points), "-o", str(file)]
+    done = RUN.invoke(app, [*fit, "--json"])
+    assert done.exit_code == 0, done.output
+    facts = json.loads(done.stdout)["arms"]["PSM1"]
+    truth = draw_truth(np.random.default_rng([3, 0]))
+    assert facts["parameters"]["offset_insertion_m"] == pytest.approx(
+        truth.joint_offset[2], abs=3e-3
+    )
+    assert facts["held_out_median_m"] < 1.5e-3
+    assert "offset_yaw_rad" in facts["frozen"]
+    calibration = read_calibration(file)
+    assert calibration.arms[0].sigma["base_translation_x_m"] > 0.0
+    cell = calibrated(load_cell("bipegtransfer"), calibration, file)
+    assert not np.array_equal(cell.arms[0].T_task_base, cell.filed.arms[0].T_task_base)  # type: ignore[union-attr]
+    done = RUN.invoke(app, fit)
+    assert "the data do not tell" in done.stdout
+    assert "median" in done.stdout
+
+
+def test_measurements_of_one_arm_alone_are_refused(tmp_path: Path) -> None:
+    done = RUN.invoke(app, ["calibrate", "fit", str(tmp_path), "-o", str(tmp_path / "c.json")])
+    assert isinstance(done.exception, CalibrationError)
+    assert not (tmp_path / "c.json").exists()
+
+
+def test_a_study_goes_on_where_it_was(tmp_path: Path) -> None:
+    trials = tmp_path / "trials.jsonl"
+    study = ["calibrate", "study", "--samples", "14", "--output", str(trials), "--json"]
+    done = RUN.invoke(app, [*study, "--truths", "1"])
+    assert done.exit_code == 0, done.output
+    first = trials.read_text()
+    trials.write_text(first + '[{"truth": [0.1,')  # cut off while it was written
+    done = RUN.invoke(app, [*study, "--truths", "1"])
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert result["truths"] == 1
+    assert result["arms"] == 2
+    assert result["tip_error_median_m"] < result["uncalibrated_tip_error_median_m"]
+    other = RUN.invoke(app, [*study, "--seed", "9"])
+    assert isinstance(other.exception, CalibrationError)

@@ -1,0 +1,188 @@
+"""How well calibration finds hidden robots: measured on many, drawn from seeds."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from viskill_deploy.calibrate.collect import MOVING_EVERY, collect
+from viskill_deploy.calibrate.error_model import ErrorModel
+from viskill_deploy.calibrate.fit import ArmFit, fit_arm
+from viskill_deploy.calibrate.measurements import Measurements, load
+from viskill_deploy.calibrate.parameters import (
+    BASE_ROTATION,
+    BASE_TRANSLATION,
+    DELAY,
+    INSERTION,
+    NAMES,
+    vector_of,
+)
+from viskill_deploy.calibrate.programme import choose_poses
+from viskill_deploy.calibrate.sources import SimulatedTracker, TrackerOptions
+from viskill_deploy.calibrate.truths import draw_truth
+from viskill_deploy.core.arm_errors import ArmErrors, rotation
+from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.types import FloatArray
+from viskill_deploy.drivers.loopback import LoopbackDriver
+from viskill_deploy.runtime.line import Line
+from viskill_deploy.runtime.session import Recorder, Session
+from viskill_deploy.sim.tasks.base import load_task
+from viskill_deploy.sim.world import WorldOptions
+
+HELD_OUT = 200
+"""Poses of the same kind, not measured, at which a calibrated arm is held against the truth."""
+
+SAMPLES = 300
+"""Rows of measurements an arm, at most, moving ones included."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One arm of one hidden robot.
+
+    Attributes:
+        truth: what it really was, (27,).
+        found: what was fitted, (27,).
+        sigma: standard deviations, NaN where frozen, (27,).
+        tip_errors_m: distances of the calibrated from the true tip at `HELD_OUT` poses.
+        before_m: the same of the arm as its file has it.
+        samples: rows of measurements.
+    """
+
+    truth: FloatArray
+    found: FloatArray
+    sigma: FloatArray
+    tip_errors_m: FloatArray
+    before_m: FloatArray
+    samples: int
+
+    def row(self) -> dict[str, Any]:
+        """Itself for JSON."""
+        numbers = {name: getattr(self, name).tolist() for name in _ARRAYS}
+        sigma = [None if math.isnan(s) else s for s in self.sigma.tolist()]
+        return {**numbers, "sigma": sigma, "samples": self.samples}
+
+    @classmethod
+    def of(cls, row: dict[str, Any]) -> Trial:
+        """From a row."""
+        numbers = {name: np.array(row[name], dtype=np.float64) for name in (*_ARRAYS, "sigma")}
+        return cls(**numbers, samples=int(row["samples"]))
+
+
+_ARRAYS = ("truth", "found", "tip_errors_m", "before_m")
+
+
+def poses_for(samples: int) -> int:
+    """How many poses give so many rows: each at rest, some on the way too."""
+    return samples * MOVING_EVERY // (MOVING_EVERY + 1)
+
+
+def study_truth(
+    cell: CellDescription,
+    number: int,
+    seed: int,
+    samples: int,
+    record: Callable[[Path, float], AbstractContextManager[Recorder]],
+) -> list[Trial]:
+    """Hides a robot, measures it through the gate, fits it and compares.
+
+    Args:
+        cell: nominal cell; the task of the same name gives the scene.
+        number: of the truth.
+        seed: of the study.
+        samples: rows of measurements an arm.
+        record: makes the session's recorder, given a folder and the control period.
+
+    Raises:
+        SafetyStop: the gate stepped in.
+        CalibrationError: the measurements could not be fitted.
+    """
+    rng = np.random.default_rng([seed, number])
+    truth = tuple(draw_truth(rng) for _ in cell.arms)
+    count = poses_for(samples)
+    arms = range(len(cell.arms))
+    chosen = [choose_poses(cell, index, count, seed + number) for index in arms]
+    driver = LoopbackDriver(cell, WorldOptions(truth=truth), seed + number)
+    driver.connect()
+    task = load_task(cell.name)
+    driver.reset(task.sample_layout(rng, task.distributions[0]))
+    options = TrackerOptions(delay_s=tuple(errors.delay_s for errors in truth))
+    tracker = SimulatedTracker(driver.world, options, seed + number)
+    with tempfile.TemporaryDirectory(prefix="viskill-study-") as folder:
+        line, points = Line(cell, driver.period_s), Path(folder) / "points"
+        with (
+            record(Path(folder) / "recording", driver.period_s) as recorder,
+            Session(cell, driver, line, recorder) as session,
+        ):
+            found = collect(session, tracker, np.stack(chosen, axis=1), points, "study")
+        rows = [load(found.files[arm.name]) for arm in cell.arms]
+    return [
+        _trial(cell, index, truth[index], fit_arm(cell.arms[index], rows[index], seed), rng)
+        for index in arms
+    ]
+
+
+def _trial(
+    cell: CellDescription, index: int, truth: ArmErrors, fit: ArmFit, rng: np.random.Generator
+) -> Trial:
+    fresh = _unseen(cell, index, rng)
+    model = ErrorModel(cell.arms[index])
+    true = model.points(vector_of(truth), fresh)
+    return Trial(
+        vector_of(truth),
+        fit.vector,
+        fit.sigma,
+        np.linalg.norm(model.points(fit.vector, fresh) - true, axis=1),
+        np.linalg.norm(model.points(np.zeros(len(NAMES)), fresh) - true, axis=1),
+        len(fit.is_outlier),
+    )
+
+
+def _unseen(cell: CellDescription, index: int, rng: np.random.Generator) -> Measurements:
+    q = choose_poses(cell, index, HELD_OUT, int(rng.integers(2**31)))
+    turns = rng.choice([-1.0, 1.0], (HELD_OUT, 3))
+    still = np.zeros((HELD_OUT, 6))
+    return Measurements(np.arange(float(HELD_OUT)), q, still, turns, np.zeros((HELD_OUT, 3)))
+
+
+def figures(trials: Sequence[Trial]) -> dict[str, Any]:
+    """What a study came to, ready for JSON: median and 95th percentile of every error."""
+    scores = np.concatenate([_scores(trial) for trial in trials])
+    off = np.array([trial.found - trial.truth for trial in trials])
+    spreads = {
+        "tip_error": (np.concatenate([trial.tip_errors_m for trial in trials]), "m"),
+        "uncalibrated_tip_error": (np.concatenate([trial.before_m for trial in trials]), "m"),
+        "insertion_offset_error": (np.abs(off[:, INSERTION]), "m"),
+        "base_shift_error": (np.linalg.norm(off[:, BASE_TRANSLATION], axis=1), "m"),
+        "base_turn_error": (np.array([_turn_error(trial) for trial in trials]), "deg"),
+        "delay_error": (np.abs(off[:, DELAY]), "s"),
+    }
+    result: dict[str, Any] = {
+        "arms": len(trials),
+        "samples_median": float(np.median([trial.samples for trial in trials])),
+        "within_2_sigma": float(np.mean(scores <= 2.0)),
+    }
+    for name, (values, unit) in spreads.items():
+        result[f"{name}_median_{unit}"] = float(np.median(values))
+        result[f"{name}_p95_{unit}"] = float(np.quantile(values, 0.95))
+    return result
+
+
+def _scores(trial: Trial) -> FloatArray:
+    """How many sigmas each fitted parameter is off."""
+    z = np.abs(trial.found - trial.truth) / trial.sigma
+    return np.asarray(z[np.isfinite(z)])
+
+
+def _turn_error(trial: Trial) -> float:
+    """Angle between the fitted and the true base, degrees."""
+    found, true = (rotation(tuple(v[BASE_ROTATION])) for v in (trial.found, trial.truth))
+    return math.degrees(float(np.linalg.norm(pin.log3(found.T @ true))))

@@ -1,0 +1,221 @@
+"""`viskill calibrate`: measure a cell, fit what its files do not say, study how well that works."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from viskill_deploy.calibrate.apply import calibration_file
+from viskill_deploy.calibrate.collect import collect
+from viskill_deploy.calibrate.fit import ArmFit, fit_arm
+from viskill_deploy.calibrate.measurements import load
+from viskill_deploy.calibrate.parameters import NAMES
+from viskill_deploy.calibrate.programme import choose_poses
+from viskill_deploy.calibrate.sources import SimulatedTracker, TrackerOptions
+from viskill_deploy.calibrate.study import Trial, figures, poses_for, study_truth
+from viskill_deploy.calibrate.truths import draw_truth
+from viskill_deploy.core.arm_errors import ArmErrors
+from viskill_deploy.core.calibration_files import write_calibration
+from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.errors import CalibrationError
+from viskill_deploy.drivers.loopback import LoopbackDriver
+from viskill_deploy.observe.recording import Recorder
+from viskill_deploy.runtime.dry_run import interruptible
+from viskill_deploy.runtime.line import Line
+from viskill_deploy.runtime.session import Session
+from viskill_deploy.sim.tasks.base import load_task
+from viskill_deploy.sim.world import WorldOptions
+
+app = typer.Typer(
+    help="Measure where a cell's arms really are, fit it, and write a calibration.",
+    no_args_is_help=True,
+)
+
+CELL = Annotated[str, typer.Option(help="Name of the cell, such as bipegtransfer.")]
+JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
+
+
+@app.command("collect", epilog="Example: viskill calibrate collect runs/points --truth 3")
+def collect_command(
+    folder: Annotated[Path, typer.Argument(help="Where the measurements go, a file an arm.")],
+    cell: CELL = "bipegtransfer",
+    samples: Annotated[int, typer.Option(min=8, help="Rows of measurements an arm.")] = 300,
+    seed: Annotated[int, typer.Option(min=0, help="Of poses and noise.")] = 0,
+    truth: Annotated[
+        int | None, typer.Option(help="Hide a robot with errors drawn from this seed.")
+    ] = None,
+    noise: Annotated[float, typer.Option(min=0, help="Of the tracker, m.")] = 0.0002,
+    outliers: Annotated[float, typer.Option(min=0, max=0.5, help="Part of wrong points.")] = 0.05,
+) -> None:
+    """Measure: the arms of the loopback visit poses through the gate, a tracker sees the tips.
+
+    Started again, it goes on where it was. Measurements of another tracker need no collecting:
+    write them as CSV and go on with `viskill calibrate fit`.
+    """
+    described = load_cell(cell)
+    errors: tuple[ArmErrors, ...] = ()
+    if truth is not None:
+        rng = np.random.default_rng([truth, 0])
+        errors = tuple(draw_truth(rng) for _ in described.arms)
+    count = poses_for(samples)
+    poses = np.stack(
+        [choose_poses(described, arm, count, seed) for arm in range(len(described.arms))], axis=1
+    )
+    driver = LoopbackDriver(described, WorldOptions(truth=errors), seed)
+    driver.connect()
+    task = load_task(cell)
+    driver.reset(task.sample_layout(np.random.default_rng(seed), task.distributions[0]))
+    delays = tuple(error.delay_s for error in errors)
+    tracker = SimulatedTracker(driver.world, TrackerOptions(noise, outliers, 0.02, delays), seed)
+    programme = f"cell {cell}, {count} poses, seed {seed}, truth {truth}"
+    folder.mkdir(parents=True, exist_ok=True)
+    console = Console(stderr=True)
+    line = Line(described, driver.period_s)
+    with (
+        Recorder(_free(folder / "recording"), described, driver.period_s) as recorder,
+        Session(described, driver, line, recorder) as session,
+        interruptible(session),
+        Progress(console=console) as bar,
+    ):
+        shown = bar.add_task("poses", total=count)
+        found = collect(
+            session, tracker, poses, folder, programme, lambda n: bar.update(shown, completed=n)
+        )
+    for path in found.files.values():
+        print(path)
+    if found.skipped:
+        console.print(f"{found.skipped} poses were left out: the gate would have stepped in.")
+
+
+@app.command("fit", epilog="Example: viskill calibrate fit runs/points -o calibration/my_cell.json")
+def fit_command(
+    folder: Annotated[Path, typer.Argument(help="Measurements, <arm>.csv of every arm.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The calibration to write.")],
+    cell: CELL = "bipegtransfer",
+    point: Annotated[
+        float, typer.Option(help="From the jaw pivot to the measured point along the tip, m.")
+    ] = 0.0,
+    method: Annotated[str, typer.Option(help="How it was measured, for people.")] = "points",
+    json_: JSON = False,
+) -> None:
+    """Fit bases, joint offsets, cables and delay of every arm, and write the calibration."""
+    described = load_cell(cell)
+    files = {arm.name: folder / f"{arm.name}.csv" for arm in described.arms}
+    fits = {arm.name: fit_arm(arm, load(files[arm.name], point)) for arm in described.arms}
+    taken = max(path.stat().st_mtime for path in files.values())
+    created = datetime.datetime.fromtimestamp(taken, datetime.UTC).replace(microsecond=0)
+    calibration = calibration_file(described, fits, files, created, method)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    write_calibration(output, calibration)
+    if json_:
+        print(json.dumps({"calibration": str(output), "arms": _facts(fits)}))
+        return
+    console = Console()
+    for name, fit in fits.items():
+        console.print(_table(name, fit))
+    console.print(f"Written: {output}")
+
+
+@app.command("study", epilog="Example: viskill calibrate study --truths 50 --json")
+def study_command(
+    truths: Annotated[int, typer.Option(min=1, help="How many hidden robots.")] = 5,
+    seed: Annotated[int, typer.Option(min=0, help="Of truths, poses and noise.")] = 0,
+    cell: CELL = "bipegtransfer",
+    samples: Annotated[int, typer.Option(min=8, help="Rows of measurements an arm.")] = 300,
+    output: Annotated[
+        Path | None, typer.Option(help="File of trials; started again it goes on there.")
+    ] = None,
+    json_: JSON = False,
+) -> None:
+    """Hide robots, calibrate each through the gate, and say how near that comes to the truth."""
+    described = load_cell(cell)
+    title = {"cell": cell, "seed": seed, "samples": samples}
+    rows = _rows(output, title)
+    with Progress(console=Console(stderr=True)) as bar:
+        shown = bar.add_task("truths", total=truths, completed=len(rows))
+        for number in range(len(rows), truths):
+            trials = study_truth(
+                described,
+                number,
+                seed,
+                samples,
+                lambda path, period_s: Recorder(path, described, period_s),
+            )
+            row = [trial.row() for trial in trials]
+            rows.append(row)
+            if output is not None:
+                with output.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(row) + "\n")
+            bar.update(shown, completed=len(rows))
+    result = title | {"truths": len(rows)} | figures([Trial.of(t) for row in rows for t in row])
+    if json_:
+        print(json.dumps(result))
+        return
+    table = Table(title=f"{len(rows)} hidden robots")
+    for column in ("figure", "value"):
+        table.add_column(column)
+    for name, value in result.items():
+        table.add_row(name, f"{value:.4g}" if isinstance(value, float) else str(value))
+    Console().print(table)
+
+
+def _free(path: Path) -> Path:
+    """`path`, or the first `path`-2, -3 … that is not there: every call has its own recording."""
+    number = 1
+    while path.exists():
+        number += 1
+        path = path.with_name(f"{path.name.rsplit('-', 1)[0]}-{number}")
+    return path
+
+
+def _rows(output: Path | None, title: dict[str, Any]) -> list[list[dict[str, Any]]]:
+    """Trials that are there already."""
+    if output is None:
+        return []
+    if not output.exists():
+        output.parent.mkdir(parents=True, exist_ok=True)
+        output.write_text(json.dumps(title) + "\n", encoding="utf-8")
+        return []
+    first, *rest = output.read_text(encoding="utf-8").splitlines()
+    if json.loads(first) != title:
+        raise CalibrationError(f"{output}: holds another study, {first}; name another file")
+    return [json.loads(line) for line in rest if line.endswith("]")]
+
+
+def _facts(fits: dict[str, ArmFit]) -> dict[str, Any]:
+    return {
+        name: {
+            "parameters": dict(zip(NAMES, fit.vector.tolist(), strict=True)),
+            "frozen": list(fit.frozen),
+            "outliers": np.flatnonzero(fit.is_outlier).tolist(),
+            "rms_m": fit.rms_m,
+            "held_out_median_m": float(np.median(fit.held_out_m)),
+            "held_out_p95_m": float(np.quantile(fit.held_out_m, 0.95)),
+            "noise_m": fit.noise_m,
+            "singular_values": fit.singular_values.tolist(),
+        }
+        for name, fit in fits.items()
+    }
+
+
+def _table(name: str, fit: ArmFit) -> Table:
+    table = Table(title=f"{name}: {(~fit.is_outlier).sum()} of {len(fit.is_outlier)} points")
+    table.add_column("parameter")
+    table.add_column("found", justify="right")
+    table.add_column("sigma", justify="right")
+    for key, value, sigma in zip(NAMES, fit.vector, fit.sigma, strict=True):
+        words = "the data do not tell" if np.isnan(sigma) else f"{sigma:.2g}"
+        table.add_row(key, f"{value:.5f}", words)
+    median, p95 = np.quantile(fit.held_out_m, [0.5, 0.95]) * 1e3
+    table.caption = (
+        f"points that the fit has not seen: median {median:.2f} mm, 95 % within {p95:.2f} mm"
+    )
+    return table
