@@ -27,6 +27,9 @@ from viskill_deploy.core.types import ObservationRange
 from viskill_deploy.motion.waypoints import PITCH_UNIT_RAD, ActionSpec
 
 MANIFEST = "manifest.json"
+KINDS = frozenset({".onnx", ".md", ".txt"})
+"""What a bundle may hold beside its manifest: graphs, and text for people."""
+
 MAX_MANIFEST_BYTES = 2**20
 MAX_FILE_BYTES = 64 * 2**20
 MAX_BUNDLE_BYTES = 256 * 2**20
@@ -181,6 +184,15 @@ class Manifest(Table):
     digest: str = ""
 
     @property
+    def graphs(self) -> tuple[str, ...]:
+        """Every file that is a graph."""
+        tables = [table.graphs for table in (self.chaining, self.value) if table is not None]
+        return (
+            *(skill.file for skill in self.skills),
+            *(file for table in tables for file in table.values()),
+        )
+
+    @property
     def observation_size(self) -> int:
         """Length of the observation."""
         return sum(entry.size for entry in self.observation)
@@ -238,6 +250,9 @@ def load_bundle(path: Path | str) -> Bundle:
     folder = Path(path)
     manifest = read_manifest(folder)
     contents = _checked_files(folder, manifest)
+    unused = {name for name in contents if name.endswith(".onnx")} - set(manifest.graphs)
+    if unused:
+        raise BundleError(folder, f"lists {sorted(unused)}, which no skill uses; remove them")
     obs, goal = {"obs": manifest.observation_size}, manifest.goal_size
     seen = obs | {"task_goal": TASK_GOAL_SIZE}
 
@@ -370,6 +385,10 @@ def _checked_files(folder: Path, manifest: Manifest) -> dict[str, bytes]:
         path = folder / name
         if Path(name).name != name or name in {"", ".", ".."} or path.is_symlink():
             raise BundleError(path, "leaves the bundle's folder; refuse this bundle")
+        if path.suffix not in KINDS:
+            raise BundleError(
+                path, f"is no file for a bundle ({', '.join(sorted(KINDS))}); remove it"
+            )
         if not path.is_file():
             raise BundleError(path, "is listed in the manifest but missing; fetch it again")
         if path.stat().st_size > MAX_FILE_BYTES:

@@ -19,6 +19,7 @@ import typer
 from viskill_deploy.cli import (
     bring,
     calibrate,
+    check,
     doctor,
     dry_run,
     evaluate,
@@ -30,6 +31,7 @@ from viskill_deploy.cli import (
     train,
 )
 from viskill_deploy.core.errors import Interrupted, ViskillError
+from viskill_deploy.observe.labels import with_labels
 
 BUG = 70
 
@@ -42,6 +44,7 @@ app = typer.Typer(
 )
 app.command("dry-run", epilog=dry_run.EXAMPLE)(dry_run.command)
 app.command("faults", epilog=faults.EXAMPLE)(faults.command)
+app.command("check", epilog=check.EXAMPLE)(check.command)
 app.command("inspect", epilog=inspect.EXAMPLE)(inspect.command)
 app.command("doctor", epilog=doctor.EXAMPLE)(doctor.command)
 app.command("train", epilog=train.EXAMPLE)(train.command)
@@ -58,7 +61,7 @@ def main() -> None:
     try:
         app()
     except ViskillError as error:
-        print(f"viskill: {error}", file=sys.stderr)
+        print(f"viskill: {with_labels(str(error))}", file=sys.stderr)
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
         print("viskill: interrupted", file=sys.stderr)

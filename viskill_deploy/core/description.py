@@ -150,9 +150,9 @@ def load_robot(name: str, tool: str) -> ArmDescription:
     return join(robot, instrument, (robot_path, tool_path))
 
 
-def load_cell(name: str) -> CellDescription:
-    """The cell `name` of `robots/cells/` with its arms."""
-    path = data.find(f"robots/cells/{name}.toml")
+def load_cell(name: str | Path) -> CellDescription:
+    """The cell `name` of `robots/cells/`, or the one in a file, with its arms."""
+    path = name if isinstance(name, Path) else data.find(f"robots/cells/{name}.toml")
     cell = read_toml(path, CellFile)
     arms = []
     for entry in cell.arm:

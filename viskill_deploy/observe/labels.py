@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 
 from viskill_deploy.core.types import PSM_JOINTS, Action
+
+BARE_ID = re.compile(r"(?<![\w(])S\d\d\b(?!\))")
 
 RULES = {
     "S01": "numbers sent are sound",
@@ -55,6 +58,11 @@ ACTIONS = {
 def rule_label(rule: str) -> str:
     """Words for a rule, such as "joint speed (S05)"; the id itself when it is not known."""
     return f"{RULES[rule]} ({rule})" if rule in RULES else rule
+
+
+def with_labels(text: str) -> str:
+    """A text in which every bare id of a rule is replaced by its words."""
+    return BARE_ID.sub(lambda found: rule_label(found[0]), text)
 
 
 def action_label(action: int) -> str:

@@ -43,12 +43,14 @@ class Plan:
         motion: the same in joints, smoothed.
         starts: what was decided at each skill's first step.
         training: what the policy has seen in training; None where no policy was asked.
+        succeeds: whether it does the task in the simulator.
     """
 
     waypoints: tuple[Waypoint, ...]
     motion: JointPlan
     starts: Mapping[str, SkillStart]
     training: ObservationRange | None = None
+    succeeds: bool = True
 
     def first_of(self, skill: str) -> int:
         """Index of a skill's first waypoint."""
@@ -116,6 +118,7 @@ def make_plan(
     speed: float = 1.0,
     subgoals: SubgoalSource | None = None,
     first: str = "",
+    must_succeed: bool = True,
 ) -> Plan:
     """Lets the policy do the task in a simulator and smooths what it did.
 
@@ -132,6 +135,7 @@ def make_plan(
         speed: part of the planned tip speed to use.
         subgoals: who gives the subgoals; by default, what the bundle asks for.
         first: name of the skill to begin with; the task's first by default.
+        must_succeed: whether a plan that does not do the task is refused.
 
     Raises:
         MotionError: the trajectory cannot be resolved or smoothed inside the limits, or does not
@@ -155,12 +159,13 @@ def make_plan(
     q = resolve(cell, dense[1:], held.tolist())
     changes = [i for i in range(1, len(dense) - 1) if dense[i].skill != dense[i + 1].skill]
     motion = smooth(cell, q, cell.file.motion.step_s, speed, changes)
-    if not loop.success():
+    succeeds = loop.success()
+    if must_succeed and not succeeds:
         raise MotionError(
             "the plan does not do the task in the simulator and was not streamed; look at the "
             "scene, or run the policy closed loop"
         )
-    return Plan(tuple(dense), motion, starts, bundle.manifest.training_range.seen)
+    return Plan(tuple(dense), motion, starts, bundle.manifest.training_range.seen, succeeds)
 
 
 def _ideal(

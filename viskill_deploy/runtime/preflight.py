@@ -1,15 +1,52 @@
-"""What is looked at before a cell may be armed: bundle, cell, files. Nothing moves here."""
+"""What is looked at before a cell may be armed, first part: every file. Nothing moves here.
+
+`runtime.rehearsing` looks at the rest: the scene, the start and the whole plan.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from viskill_deploy.bundle.format import MANIFEST, Bundle, check_fits, load_bundle
 from viskill_deploy.core import data
+from viskill_deploy.core.calibration_files import (
+    CalibrationFile,
+    calibrated,
+    is_simulated,
+    read_calibration,
+)
+from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.description import CellDescription, load_cell
-from viskill_deploy.core.errors import BundleError
+from viskill_deploy.core.errors import BundleError, CalibrationError
+from viskill_deploy.core.scene_files import SeenScene, read_scene
+from viskill_deploy.runtime.checklist import Checklist, Found, Line
+from viskill_deploy.safety.calibration import calibration_margin, judge_calibration
+from viskill_deploy.safety.envelope import CellEnvelope
 from viskill_deploy.sim.tasks.base import Task, load_task
+
+DAY_S = 86400.0
+
+PERIOD_S = 0.004
+"""Control period that is assumed where a run has not yet said its own."""
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The files that a run is made of.
+
+    Attributes:
+        bundle: folder of the policy bundle, or the name of one in a `policies` folder.
+        robot: name of a cell in `robots/cells`, or path of a cell file; "" for the bundle's own.
+        calibration: calibration file of the cell; a cell of real arms needs one.
+        scene: scene file; None where the simulator or a tracker says where things are.
+    """
+
+    bundle: Path
+    robot: str = ""
+    calibration: Path | None = None
+    scene: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -19,6 +56,8 @@ class Prepared:
     Attributes:
         files: path and SHA-256 of every data file that the run uses.
         notes: what people should know, such as a file that stands in front of a packaged one.
+        lines: what was looked at so far.
+        scene: the scene that was given; None where the simulator or a tracker tells.
     """
 
     bundle: Bundle
@@ -26,6 +65,8 @@ class Prepared:
     cell: CellDescription
     files: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
+    lines: tuple[Line, ...] = ()
+    scene: SeenScene | None = None
 
 
 def find_bundle(path: Path) -> Path:
@@ -43,28 +84,119 @@ def find_bundle(path: Path) -> Path:
     raise BundleError(path, "is no folder; name a policy bundle, see `viskill doctor`")
 
 
-def prepare(path: Path) -> Prepared:
-    """Loads a bundle with its task and cell, and checks that they fit.
+def prepare(sources: Sources | Path) -> Prepared:
+    """Loads the files of a run and checks that they fit; a path alone is that of a bundle.
 
     Raises:
         BundleError: the bundle is wrong or was trained for something else.
-        DataFileError: a robot, tool or cell file is wrong.
+        CalibrationError: the calibration is wrong, too old, or another cell's; or there is none.
+        DataFileError: a robot, tool, cell or scene file is wrong.
     """
-    bundle = load_bundle(find_bundle(path))
-    manifest = bundle.manifest
-    cell = load_cell(manifest.cell)
-    task = load_task(manifest.task, cell)
-    check_fits(bundle, cell)
-    _check_layout(bundle, task)
+    checklist = Checklist()
+    given = sources if isinstance(sources, Sources) else Sources(sources)
+    prepared = look_at_files(checklist, given)
+    checklist.insist()
+    assert prepared is not None  # nothing has failed
+    return prepared
+
+
+def look_at_files(checklist: Checklist, sources: Sources) -> Prepared | None:
+    """Adds a line for every kind of file.
+
+    Returns:
+        None when nothing can be made of the bundle and its cell. After a failure of what is asked
+        later (`checklist.error`), something to go on looking with.
+    """
+    bundle = checklist.look("bundle", "S28", partial(_bundle, sources.bundle))
+    if bundle is None:
+        return None
+    pair = checklist.look("robot", "", partial(_robot, bundle, sources.robot))
+    if pair is None:
+        return None
+    nominal, task = pair
+    look = partial(_calibration, nominal, sources.calibration)
+    cell = checklist.look("calibration", "S27", look) or nominal
+    if cell is not nominal:
+        task = load_task(task.name, cell)
+    checklist.look("limits", "", partial(_limits, cell))
+    seen = None
+    if sources.scene is not None:
+        seen = checklist.look("scene file", "", partial(_scene, cell, sources.scene))
     used = [*cell.files, bundle.path / MANIFEST]
-    used += [bundle.path / name for name in manifest.files]
-    notes = [
+    used += [bundle.path / name for name in bundle.manifest.files]
+    used += [] if seen is None else [seen.path]
+    files = tuple((str(file), data.sha256(file)) for file in used)
+    return Prepared(bundle, task, cell, files, _notes(cell), tuple(checklist.lines), seen)
+
+
+def _notes(cell: CellDescription) -> tuple[str, ...]:
+    return tuple(
         f"{file} stands in front of the packaged {hidden}"
         for file in cell.files
         if (hidden := data.shadows(file)) is not None
-    ]
-    files = tuple((str(file), data.sha256(file)) for file in used)
-    return Prepared(bundle, task, cell, files, tuple(notes))
+    )
+
+
+def _bundle(path: Path) -> Found[Bundle]:
+    bundle = load_bundle(find_bundle(path))
+    files = len(bundle.manifest.files) + 1
+    return Found(bundle, f"{files} files of {bundle.path} are as exported")
+
+
+def _robot(bundle: Bundle, robot: str) -> Found[tuple[CellDescription, Task]]:
+    manifest = bundle.manifest
+    cell = load_cell(Path(robot) if robot.endswith(".toml") else robot or manifest.cell)
+    check_fits(bundle, cell)
+    task = load_task(manifest.task, cell)
+    _check_layout(bundle, task)
+    arms = ", ".join(f"{arm.name} ({arm.entry.robot}, {arm.entry.tool})" for arm in cell.arms)
+    shadowing = _notes(cell)
+    return Found((cell, task), "; ".join([arms, *shadowing]), warns=bool(shadowing))
+
+
+def _calibration(cell: CellDescription, path: Path | None) -> Found[CellDescription]:
+    if path is None:
+        if is_simulated(cell):
+            return Found(cell, "none, and simulated arms need none")
+        raise CalibrationError(
+            f"{cell.files[0]}: its arms are real; name their calibration file with --calibration"
+        )
+    calibration, now = read_calibration(path), wall_time()
+    placed = calibrated(cell, calibration, path)
+    for verdict in judge_calibration(calibration, now):
+        raise CalibrationError(f"{path}: {_too(calibration, verdict.arm, now)}")
+    age = (now - calibration.created.timestamp()) / DAY_S
+    worst = max(arm.residual_rms_m for arm in calibration.arms)
+    text = f"{age:.1f} days old, residual {1e3 * worst:.2f} mm, by {calibration.method}"
+    return Found(placed, text, calibration_margin(calibration, now))
+
+
+def _too(calibration: CalibrationFile, arm: int, now: float) -> str:
+    if arm < 0:
+        age = (now - calibration.created.timestamp()) / DAY_S
+        when = f"is {age:.1f} days old" if age > 0.0 else f"is dated {-age:.1f} days ahead"
+        return f"{when}; calibrate the cell again, or set this machine's clock"
+    entry = calibration.arms[arm]
+    return (
+        f"the residual of {entry.name} is {1e3 * entry.residual_rms_m:.2f} mm; measure more "
+        "points and calibrate the cell again"
+    )
+
+
+def _limits(cell: CellDescription) -> Found[CellEnvelope]:
+    envelope = CellEnvelope.of(cell, PERIOD_S)
+    return Found(envelope, "none is looser than the gate's ceilings")
+
+
+def _scene(cell: CellDescription, path: Path) -> Found[SeenScene]:
+    seen = read_scene(path, cell.name)
+    sigma = max(float(C.diagonal()[:3].max()) ** 0.5 for C in seen.covariance.values())
+    many = len(seen.scene.objects)
+    return Found(
+        seen,
+        f"{many} object{'s' * (many > 1)}, {seen.scene.active} to be moved; positions known "
+        f"within {1e3 * sigma:.2f} mm (one sigma)",
+    )
 
 
 def _check_layout(bundle: Bundle, task: Task) -> None:
