@@ -6,6 +6,7 @@ import pickle
 import re
 import shutil
 import sys
+import time
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -108,7 +109,7 @@ def test_every_kind_of_byte_of_a_manifest(bundle: Path, kind: str, bit: int) -> 
 @pytest.mark.parametrize("kind", CLASSES)
 def test_every_kind_of_byte_of_a_calibration(calibration: Path, kind: str, bit: int) -> None:
     flip(calibration, spot(calibration.read_bytes(), CLASSES[kind]), bit)
-    assert "cell.json" in refused(Sources(SHIPPED, calibration=calibration))
+    assert "cell.json" in refused(Sources(SHIPPED, date_s=time.time(), calibration=calibration))
 
 
 @pytest.mark.parametrize("bit", [0, 7])
@@ -135,7 +136,7 @@ def test_a_truncated_or_longer_file(bundle: Path, name: str, part: float) -> Non
 def test_a_truncated_calibration(calibration: Path, part: float) -> None:
     content = calibration.read_bytes()
     calibration.write_bytes(content[: int(part * len(content))])
-    refused(Sources(SHIPPED, calibration=calibration))
+    refused(Sources(SHIPPED, date_s=time.time(), calibration=calibration))
 
 
 GRAPHS = sorted(path.name for path in SHIPPED.glob("*.onnx"))
@@ -185,7 +186,7 @@ def test_a_link(bundle: Path, name: str) -> None:
 def test_a_calibration_that_is_a_link(calibration: Path) -> None:
     link = calibration.with_name("link.json")
     link.symlink_to(calibration)
-    assert "is a link" in refused(Sources(SHIPPED, calibration=link))
+    assert "is a link" in refused(Sources(SHIPPED, date_s=time.time(), calibration=link))
 
 
 class Touch:
@@ -217,7 +218,7 @@ def test_a_pickle_for_a_manifest_or_a_calibration(bundle: Path, tmp_path: Path) 
     for path in (bundle / MANIFEST, tmp_path / "cell.json"):
         path.write_bytes(pickle.dumps(Touch(trace)))
     refused(bundle)
-    refused(Sources(SHIPPED, calibration=tmp_path / "cell.json"))
+    refused(Sources(SHIPPED, date_s=time.time(), calibration=tmp_path / "cell.json"))
     assert not trace.exists()
 
 
@@ -232,7 +233,7 @@ def bomb(tmp_path: Path) -> Path:
 
 def test_a_zip_bomb(bundle: Path, bomb: Path) -> None:
     assert "is no folder" in refused(bomb)
-    refused(Sources(SHIPPED, calibration=bomb))
+    refused(Sources(SHIPPED, date_s=time.time(), calibration=bomb))
     for name in ("extra.zip", "skill-grasp.onnx", MANIFEST):
         shutil.copy(bomb, bundle / name)
         if name != MANIFEST:

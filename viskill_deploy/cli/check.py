@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from viskill_deploy.core.clock import wall_time
 from viskill_deploy.observe.preflight_table import print_preflight, summary
 from viskill_deploy.runtime.checklist import Checklist
 from viskill_deploy.runtime.preflight import Prepared, Sources
@@ -47,7 +48,7 @@ def command(
     Every run does the same before it arms the cell. Exits with 3 when a file or the scene is
     refused, with 5 when the gate would not pass the plan.
     """
-    checklist, prepared = preflight(Sources(bundle, robot, calibration, scene), seed)
+    checklist, prepared = preflight(Sources(bundle, robot, calibration, scene, wall_time()), seed)
     if json_:
         print(json.dumps(_facts(bundle, checklist, prepared), allow_nan=False))
     else:

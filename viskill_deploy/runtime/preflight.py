@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +18,6 @@ from viskill_deploy.core.calibration_files import (
     is_simulated,
     read_calibration,
 )
-from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import BundleError, CalibrationError
 from viskill_deploy.core.scene_files import SeenScene, read_scene
@@ -41,12 +41,14 @@ class Sources:
         robot: name of a cell in `robots/cells`, or path of a cell file; "" for the bundle's own.
         calibration: calibration file of the cell; a cell of real arms needs one.
         scene: scene file; None where the simulator or a tracker says where things are.
+        date_s: Unix time of asking, by which calibrations age; without one, all are too old.
     """
 
     bundle: Path
     robot: str = ""
     calibration: Path | None = None
     scene: Path | None = None
+    date_s: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ def look_at_files(checklist: Checklist, sources: Sources) -> Prepared | None:
     if pair is None:
         return None
     nominal, task = pair
-    look = partial(_calibration, nominal, sources.calibration)
+    look = partial(_calibration, nominal, sources.calibration, sources.date_s)
     cell = checklist.look("calibration", "S27", look) or nominal
     if cell is not nominal:
         task = load_task(task.name, cell)
@@ -154,14 +156,14 @@ def _robot(bundle: Bundle, robot: str) -> Found[tuple[CellDescription, Task]]:
     return Found((cell, task), "; ".join([arms, *shadowing]), warns=bool(shadowing))
 
 
-def _calibration(cell: CellDescription, path: Path | None) -> Found[CellDescription]:
+def _calibration(cell: CellDescription, path: Path | None, now: float) -> Found[CellDescription]:
     if path is None:
         if is_simulated(cell):
             return Found(cell, "none, and simulated arms need none")
         raise CalibrationError(
             f"{cell.files[0]}: its arms are real; name their calibration file with --calibration"
         )
-    calibration, now = read_calibration(path), wall_time()
+    calibration = read_calibration(path)
     placed = calibrated(cell, calibration, path)
     for verdict in judge_calibration(calibration, now):
         raise CalibrationError(f"{path}: {_too(calibration, verdict.arm, now)}")
@@ -174,7 +176,7 @@ def _calibration(cell: CellDescription, path: Path | None) -> Found[CellDescript
 def _too(calibration: CalibrationFile, arm: int, now: float) -> str:
     if arm < 0:
         age = (now - calibration.created.timestamp()) / DAY_S
-        when = f"is {age:.1f} days old" if age > 0.0 else f"is dated {-age:.1f} days ahead"
+        when = f"is dated {-age:.1f} days ahead" if age < 0.0 else f"is {age:.1f} days old"
         return f"{when}; calibrate the cell again, or set this machine's clock"
     entry = calibration.arms[arm]
     return (

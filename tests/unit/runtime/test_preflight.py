@@ -1,6 +1,7 @@
 """The preflight: a line for everything that is looked at, with its margin. Nothing moves."""
 
 import datetime
+import time
 from pathlib import Path
 
 import numpy as np
@@ -135,7 +136,7 @@ def looked(sources: Sources) -> tuple[Checklist, Prepared | None]:
 def test_a_fresh_calibration_is_used_and_stands_among_the_files(tmp_path: Path) -> None:
     cell = prepare(BUNDLE).cell
     path = write_fresh(tmp_path / "cell.json", cell, 3 * DAY)
-    checklist, prepared = looked(Sources(BUNDLE, calibration=path))
+    checklist, prepared = looked(Sources(BUNDLE, calibration=path, date_s=time.time()))
     line = named(checklist, "calibration")
     assert (line.status, line.rule) == ("pass", "S27")
     assert line.text == "3.0 days old, residual 0.60 mm, by points"
@@ -153,9 +154,16 @@ def test_a_fresh_calibration_is_used_and_stands_among_the_files(tmp_path: Path) 
 def test_an_old_calibration_is_refused(tmp_path: Path, age: float, words: str) -> None:
     path = write_fresh(tmp_path / "cell.json", prepare(BUNDLE).cell, age)
     with pytest.raises(CalibrationError, match=words) as caught:
-        prepare(Sources(BUNDLE, calibration=path))
+        prepare(Sources(BUNDLE, calibration=path, date_s=time.time()))
     assert caught.value.exit_code == 3
     assert "calibrate the cell again" in str(caught.value)
+
+
+@pytest.mark.invariant("S27")
+def test_without_a_date_no_calibration_is_young(tmp_path: Path) -> None:
+    path = write_fresh(tmp_path / "cell.json", prepare(BUNDLE).cell)
+    with pytest.raises(CalibrationError, match=r"cell\.json"):
+        prepare(Sources(BUNDLE, calibration=path))
 
 
 @pytest.mark.invariant("S27")
@@ -164,7 +172,7 @@ def test_a_coarse_calibration_is_refused_and_the_arm_named(tmp_path: Path) -> No
     arms = (made.arms[0], made.arms[1].model_copy(update={"residual_rms_m": 0.0021}))
     path = write_calibration(tmp_path / "c.json", made.model_copy(update={"arms": arms}))
     with pytest.raises(CalibrationError, match=r"residual of PSM2 is 2\.10 mm"):
-        prepare(Sources(BUNDLE, calibration=path))
+        prepare(Sources(BUNDLE, calibration=path, date_s=time.time()))
 
 
 @pytest.mark.invariant("S27")
@@ -187,7 +195,10 @@ def test_real_arms_need_a_calibration_that_is_theirs(tmp_path: Path) -> None:
     assert [line.status for line in checklist.lines] == ["pass", "pass", "fail", "pass"]
     assert prepared is not None
     own = write_fresh(tmp_path / "own.json", prepared.cell)
-    assert prepare(Sources(BUNDLE, str(real), own)).cell.arms[0].entry.serial == "29662"
+    assert (
+        prepare(Sources(BUNDLE, str(real), own, date_s=time.time())).cell.arms[0].entry.serial
+        == "29662"
+    )
 
 
 def test_a_cell_that_is_looser_than_the_gate_fails_its_line(tmp_path: Path) -> None:
