@@ -124,7 +124,9 @@ class Rows:
             )
             for arm, m in zip(state.arms, self.motions[tick], strict=True)
         )
-        return replace(state, arms=arms)
+        now = self._now(tick)
+        inputs = replace(state.inputs, consent_stamp_s=now, watchdog_stamp_s=now)
+        return replace(state, arms=arms, inputs=inputs)
 
     def pink_ik(self, tick: int) -> None:
         """Pink's solve_ik with configuration and velocity limits, and its integration."""
@@ -191,7 +193,7 @@ def measure(rows: Rows, ticks: int, repeats: int) -> dict[str, float]:
     times: dict[str, list[float]] = {name: [] for name in table}
     for _ in range(repeats):
         rows.begin()
-        for start in range(1, ticks - BATCH - 1, BATCH):
+        for start in range(0, ticks - BATCH - 1, BATCH):
             for name, call in table.items():
                 began = time.perf_counter_ns()
                 for tick in range(start, start + BATCH):
