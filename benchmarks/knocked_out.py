@@ -186,7 +186,10 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "noticed_of_those_at_a_boundary": (
             f"{outcomes['noticed']} of {outcomes['noticed'] + outcomes['missed']}"
         ),
-        "success_after_retry": sum(bool(row.get("retries")) and row["success"] for row in rows),
+        "tried_again": sum(row.get("retries", 0) for row in rows),
+        "success_when_tried_again": sum(
+            bool(row.get("retries")) and row["success"] for row in rows
+        ),
         "cpu_s": round(sum(row["cpu_s"] for row in rows)),
         "kept": bool(rows)
         and stopped >= GOAL * lost

@@ -110,6 +110,8 @@ class Attempts:
         except SafetyStop as error:
             result.reason = f"not tried again: {error}"
             return None
-        if plan is None and not go_to_start_pose(session, held):
+        if plan is not None:
+            result.retries += 1
+        elif not go_to_start_pose(session, held):
             session.come_to_rest(result)
         return plan

@@ -151,7 +151,6 @@ class Boundaries:
         back = way_back(self._skills, ended, held_now(self._session))
         if not back or self._result.retries >= self._job.retries:
             return replace(seen, course="safe pose", skill="")
-        self._result.retries += 1
         return replace(seen, course="retry", skill=back)
 
     def _told(self, seen: Boundary) -> Boundary:

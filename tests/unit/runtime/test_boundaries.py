@@ -111,7 +111,7 @@ def test_a_block_that_falls_back_on_its_peg_is_taken_again():
         *((skill, "go on") for skill in ("grasp", "handover", "release")),
     ]
     assert result.success
-    assert result.stopped_by == ""
+    assert (result.stopped_by, result.retries) == ("", 1)
 
 
 def test_in_plan_mode_a_block_lost_in_the_handover_is_noticed_before_the_release():
@@ -143,6 +143,7 @@ def test_a_letter_that_is_lost_out_of_reach_is_not_tried_again_and_the_reason_is
     assert session.ledger.interventions == 0
     assert not result.success
     assert result.reason.startswith("not tried again: ")
+    assert result.retries == 0
     np.testing.assert_allclose(notes.sent[-1], notes.sent[0], atol=1e-3)
 
 
