@@ -69,6 +69,7 @@ class Paced(Recorder):
 def test_a_full_disk_ends_the_run_in_each_phase(driver, tmp_path: Path, phase: str) -> None:
     fault, moment = BY_NAME["recorder-full"], phases()[phase]
     recorder = Paced(tmp_path / "bag", prepared().cell, driver.period_s)
+    recorder.wait_until_open()
     cell = run_cell(driver, moment, fault, recorder)
     assert complaints(cell, moment.declared(fault)) == []
     with pytest.raises(OSError, match="free disk space"):
@@ -84,6 +85,7 @@ def test_a_killed_runtime_leaves_a_complete_record_in_each_phase(driver, tmp_pat
     if child == 0:
         try:
             recorder = Recorder(bag, prepared().cell, driver.period_s)
+            recorder.wait_until_open()
             run_cell(driver, moment, BY_NAME["kill-runtime"], recorder)
         finally:
             os._exit(70)

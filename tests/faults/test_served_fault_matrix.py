@@ -52,6 +52,7 @@ def test_each_fault_has_its_declared_reaction_in_real_time(made, tmp_path, name,
         driver.connect()
         if name == "recorder-full":
             recorder = Recorder(tmp_path / f"bag{trial}", prepared().cell, driver.period_s)
+            recorder.wait_until_open()
         cell = run_cell(driver, moment, fault, recorder)
         driver.close()
         if recorder is not None:
@@ -108,6 +109,7 @@ def test_a_killed_runtime_leaves_held_arms_and_a_complete_record(made, tmp_path,
         def work(driver: ServedLoopback = driver, bag: Path = bag, tell: int = tell) -> None:
             driver.connect()
             recorder = Recorder(bag, prepared().cell, driver.period_s)
+            recorder.wait_until_open()
             os.write(tell, b"!")
             run_cell(driver, moment, fault, recorder)
 

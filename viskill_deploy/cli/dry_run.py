@@ -234,6 +234,7 @@ def _run(
             console.print(f"note: {note}", markup=False, style="yellow", soft_wrap=True)
 
         try:
+            recorder.wait_until_open()
             outcome = dry_run(prepared, options, recorder, one_more, say)
         finally:
             try:

@@ -46,6 +46,9 @@ from viskill_deploy.observe.frames import HEADER, JOINTS, Kind
 PIPE_BYTES = 1 << 20
 """Asked of the kernel: about a thousand cycles of two arms, four seconds at 250 Hz."""
 
+OPEN_S = 20.0
+"""A recorder that has not opened its file after this time will not."""
+
 SCENE_PERIOD_S = 0.02
 _NOTHING = (math.nan,) * frames.TRACK
 _F_SETPIPE_SZ = getattr(fcntl, "F_SETPIPE_SZ", None)
@@ -102,6 +105,23 @@ class Recorder:
     def process_id(self) -> int:
         """The recorder's process."""
         return self._process.pid
+
+    def wait_until_open(self, timeout_s: float = OPEN_S) -> None:
+        """Waits until the bag is on disk, so that nothing moves before it can be recorded.
+
+        Raises:
+            RecordingError: the recorder's process ended instead, or took too long.
+        """
+        bag = self.path / f"{self.path.name}_0.mcap"
+        waiting = clock.MonotonicClock()
+        deadline = waiting.now() + timeout_s
+        while not (bag.is_file() and bag.stat().st_size > 0):
+            if self._process.poll() is not None or waiting.now() > deadline:
+                raise RecordingError(
+                    f"{self.path}: the recorder could not open its file; look for its message "
+                    "above and for free disk space"
+                )
+            waiting.sleep_until(waiting.now() + 0.005)
 
     def cycle(
         self,

@@ -57,7 +57,8 @@ class Struck:
         began_s: driver's clock when it began; NaN before.
         is_over: it has ended.
         action, rules: the first thing that the gate did afterwards which was no milder than what
-            is declared, HOLD or worse, and the rules that asked for it.
+            is declared, HOLD or worse, and the rules that asked for it. Of several rules in one
+            cycle the declared one tells the action.
         after_s: time from the beginning to then.
     """
 
@@ -141,7 +142,8 @@ class FaultInjector:
         elapsed = self.elapsed_s()
         for entry in self.struck:
             injection = entry.injection
-            if injection.fault.name == name and injection.is_on(elapsed):
+            # not before `update` has noted it: what the gate answers is counted from there
+            if entry.has_begun and injection.fault.name == name and injection.is_on(elapsed):
                 return injection
         return None
 
@@ -184,8 +186,10 @@ class FaultInjector:
         for entry in self.struck:
             least = max(entry.injection.fault.reaction.action, Action.HOLD)
             if entry.has_begun and not entry.rules and action >= least:
-                entry.action, entry.after_s = action, now - entry.began_s
+                entry.after_s = now - entry.began_s
                 speaking = sorted(verdicts, key=lambda v: -v.action)
+                rule = entry.injection.fault.reaction.rule
+                entry.action = next((v.action for v in speaking if v.rule == rule), action)
                 entry.rules = tuple({v.rule: None for v in speaking if v.action >= Action.HOLD})
 
     def _break_drive(self, injection: Injection) -> None:

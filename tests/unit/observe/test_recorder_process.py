@@ -105,6 +105,23 @@ def test_a_bag_that_was_never_written_to_opens(stream):
     intake.bag.finish()
 
 
+def test_a_recorder_is_open_before_anything_moves(tmp_path):
+    with recording.Recorder(tmp_path / "bag", load_cell("bipegtransfer"), 0.004) as recorder:
+        recorder.wait_until_open()
+        assert not read_recording(tmp_path / "bag").complete
+
+
+def test_a_recorder_that_ended_before_it_could_open_its_file_says_so(tmp_path, monkeypatch):
+    reader, writer = os.pipe()
+    monkeypatch.setattr(Ended, "poll", lambda self: 1)
+    monkeypatch.setattr(recording, "_start", lambda folder: (Ended(), writer))
+    recorder = recording.Recorder(tmp_path / "bag", load_cell("bipegtransfer"), 0.004)
+    with pytest.raises(RecordingError, match="free disk space"):
+        recorder.wait_until_open()
+    recorder.close()
+    os.close(reader)
+
+
 def test_a_pipe_without_a_word_leaves_no_bag(tmp_path):
     reader, writer = os.pipe()
     os.close(writer)
