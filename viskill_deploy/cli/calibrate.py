@@ -16,6 +16,7 @@ from rich.table import Table
 from viskill_deploy.calibrate.apply import calibration_file
 from viskill_deploy.calibrate.collect import collect
 from viskill_deploy.calibrate.fit import ArmFit, fit_arm
+from viskill_deploy.calibrate.judge import judge
 from viskill_deploy.calibrate.measurements import load
 from viskill_deploy.calibrate.parameters import NAMES
 from viskill_deploy.calibrate.programme import choose_poses
@@ -27,6 +28,7 @@ from viskill_deploy.core.calibration_files import write_calibration
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import CalibrationError
 from viskill_deploy.drivers.loopback import LoopbackDriver
+from viskill_deploy.observe.calibration_report import write_calibration_report
 from viskill_deploy.observe.recording import Recorder
 from viskill_deploy.runtime.dry_run import interruptible
 from viskill_deploy.runtime.line import Line
@@ -122,6 +124,27 @@ def fit_command(
     for name, fit in fits.items():
         console.print(_table(name, fit))
     console.print(f"Written: {output}")
+
+
+@app.command("report", epilog="Example: viskill calibrate report runs/points -o report.html")
+def report_command(
+    folder: Annotated[Path, typer.Argument(help="Measurements, <arm>.csv of every arm.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The page to write.")] = Path(
+        "calibration.html"
+    ),
+    cell: CELL = "bipegtransfer",
+    point: Annotated[
+        float, typer.Option(help="From the jaw pivot to the measured point along the tip, m.")
+    ] = 0.0,
+) -> None:
+    """Show a fit: residuals before and after, what the data tell, what to expect at the pegs."""
+    described = load_cell(cell)
+    judged = []
+    for index, arm in enumerate(described.arms):
+        measured = load(folder / f"{arm.name}.csv", point)
+        judged.append(judge(described, index, measured, fit_arm(arm, measured)))
+    output.parent.mkdir(parents=True, exist_ok=True)
+    print(write_calibration_report(output, cell, judged))
 
 
 @app.command("study", epilog="Example: viskill calibrate study --truths 50 --json")

@@ -63,7 +63,7 @@ def write_report(
         `path`.
     """
     data, trouble = _plotted(recording, result, episode)
-    page = _environment().get_template("report.html.j2")
+    page = environment().get_template("report.html.j2")
     shown = _shown(result, episode)
     html = page.render(
         result=result,
@@ -81,7 +81,7 @@ def write_report(
         plots=_plots(data, cell),
         plotted=_episode_of(data),
         video=_embedded(video),
-        plotly=Markup(_plotly()) if data is not None else "",
+        plotly=Markup(plotly_source()) if data is not None else "",
     )
     path.write_text(html, encoding="utf-8")
     return path
@@ -112,14 +112,16 @@ def _episode_of(data: RunData | None) -> int | None:
     return data.marks[0].episode if data is not None and data.marks else None
 
 
-def _environment() -> jinja2.Environment:
+def environment() -> jinja2.Environment:
+    """Where the templates of all pages are."""
     loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
     made = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     made.filters["outcome"] = outcome
     return made
 
 
-def _plotly() -> str:
+def plotly_source() -> str:
+    """Plotly's own program, to stand in a page that needs no network."""
     from plotly.offline import get_plotlyjs  # noqa: PLC0415 - 5 MB, for a report with plots alone
 
     return str(get_plotlyjs())
@@ -184,7 +186,7 @@ def _plots(data: RunData | None, cell: CellDescription) -> list[dict[str, Any]]:
             {
                 "id": key,
                 "title": key.removeprefix("joints-") if name == "joints" else "",
-                "json": _script_json(made[key]),
+                "json": script_json(made[key]),
                 "height": made[key]["layout"]["height"],
             }
             for key in parts
@@ -193,7 +195,7 @@ def _plots(data: RunData | None, cell: CellDescription) -> list[dict[str, Any]]:
     return sections
 
 
-def _script_json(figure: Mapping[str, Any]) -> Markup:
+def script_json(figure: Mapping[str, Any]) -> Markup:
     """JSON that may stand inside a script element: no "<" in it."""
     text = json.dumps(figure, separators=(",", ":"), allow_nan=False)
     return Markup(text.replace("<", "\\u003c"))
