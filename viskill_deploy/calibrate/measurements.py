@@ -53,8 +53,8 @@ class Measurements:
     def __post_init__(self) -> None:
         n = len(self.stamps)
         for name in ("stamps", "joints", "speeds", "turns", "points"):
-            values = np.asarray(getattr(self, name), dtype=np.float64).reshape(n, -1)
-            bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+            values = np.asarray(getattr(self, name), dtype=np.float64)
+            bad = np.flatnonzero(~np.isfinite(values).all(axis=tuple(range(1, values.ndim))))
             if bad.size:
                 raise CalibrationError(
                     f"row {bad[0] + 1} of {name} holds a number that is not finite "

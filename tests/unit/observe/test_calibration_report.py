@@ -45,7 +45,7 @@ def test_the_delay_shows_as_the_lowest_point_of_its_curve() -> None:
 
 
 def test_the_page_tells_what_the_data_do_not(tmp_path: Path) -> None:
-    m, wrong = measured(CELL.arms[0], TYPICAL, 60, seed=2, wrong=0.1)
+    m, _ = measured(CELL.arms[0], TYPICAL, 60, seed=2, wrong=0.1)
     still = replace(m, speeds=np.zeros((60, 6)))
     judged = [judge(CELL, 0, each, fit_arm(CELL.arms[0], each)) for each in (m, still)]
     page = write_calibration_report(tmp_path / "c.html", CELL.name, judged).read_text()
