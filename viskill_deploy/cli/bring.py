@@ -9,7 +9,15 @@ from typing import Annotated
 import typer
 
 from viskill_deploy.bundle.format import load_bundle
+from viskill_deploy.cli.names import FrameName, PointName
+from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import MissingExtraError
+from viskill_deploy.motion.frames import Label
+from viskill_deploy.motion.resolve import resolve
+from viskill_deploy.motion.trajectory import write_plan
+from viskill_deploy.motion.waypoints import start_waypoint
+from viskill_deploy.observe.trajectory_files import read_written
+from viskill_deploy.runtime.trajectory import checked_waypoints, look_at, plan_waypoints
 from viskill_deploy.sim.tasks.base import load_task
 
 app = typer.Typer(no_args_is_help=True, help="Bring a policy or a trajectory that you have.")
@@ -55,3 +63,68 @@ def official(
     for path in (*found.skills.values(), *filter(None, [found.chaining])):
         print(f"read:   {path}")
     print(f"bundle: {output}")
+
+
+TRAJECTORY_EXAMPLE = (
+    "Example: viskill import trajectory surrol.csv -o mine.plan.json --cell bipegtransfer "
+    "--frame surrol --control-point jaw-pivot"
+)
+
+
+@app.command("trajectory", epilog=TRAJECTORY_EXAMPLE)
+def trajectory(
+    file: Annotated[
+        Path, typer.Argument(help="A .csv, .npz, .mcap, .bag, or the folder of a bag.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The plan file, *.plan.json.")],
+    cell: Annotated[str, typer.Option(help="Whose arms shall follow it.")],
+    frame: Annotated[
+        FrameName | None, typer.Option(help="Where positions are seen from, if the file is silent.")
+    ] = None,
+    control_point: Annotated[
+        PointName | None, typer.Option(help="Point of the tool that positions are about.")
+    ] = None,
+    length_scale: Annotated[
+        float | None, typer.Option(min=1e-3, help="Lengths over metres; the frame's own if left.")
+    ] = None,
+    step: Annotated[
+        float | None, typer.Option(min=1e-3, help="Seconds from waypoint to waypoint.")
+    ] = None,
+) -> None:
+    """Turn Cartesian waypoints into a plan for `viskill dry-run`, after a look for usual traps."""
+    description = load_cell(cell)
+    written = read_written(file)
+    label = _declared(written.label, frame, control_point, length_scale, file)
+    waypoints = checked_waypoints(description, written, label, step, str(file))
+    held = resolve(description, [start_waypoint(description)], [(0.0,) * 7] * len(description.arms))
+    plan = plan_waypoints(description, waypoints, held[1])
+    write_plan(output, description, waypoints, f"{file.name}, {label}")
+    look = look_at(description, waypoints)
+    print(f"{len(waypoints)} waypoints read as {label}, {waypoints[0].step_s:.4g} s a step")
+    print(f"starts {1e3 * look.start_m:.1f} mm from where the arms start")
+    print(f"takes {plan.motion.duration_s:.2f} s, {plan.motion.stretch:.2f} x the steps' own time")
+    print(f"plan: {output}")
+
+
+def _declared(
+    said: Label | None,
+    frame: FrameName | None,
+    point: PointName | None,
+    scale: float | None,
+    file: Path,
+) -> Label:
+    """What the numbers mean: by the file, by the options, never by a guess."""
+    if said is None:
+        if frame is None or point is None:
+            raise typer.BadParameter(
+                f"{file} does not say what its numbers mean: give --frame and --control-point"
+            )
+        return Label(frame.value, point.value, scale)
+    given = Label(
+        frame.value if frame else said.frame,
+        point.value if point else said.control_point,
+        said.length_scale if scale is None else scale,
+    )
+    if given != said:
+        raise typer.BadParameter(f"{file} says {said}; correct the file or the options")
+    return said

@@ -1,17 +1,47 @@
-"""`viskill export`: a training run as a policy bundle."""
+"""`viskill export`: a training run as a policy bundle, or a plan for somebody else's player."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
 import typer
+from typer.core import TyperGroup
 
+from viskill_deploy.cli.names import FrameName, PointName
+from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import MissingExtraError
+from viskill_deploy.core.types import FloatArray
+from viskill_deploy.motion.frames import Label
+from viskill_deploy.motion.resolve import resolve
+from viskill_deploy.motion.trajectory import read_plan, written_of
+from viskill_deploy.motion.waypoints import start_waypoint
+from viskill_deploy.observe.trajectory_files import JointNames, write_joint_plan, write_written
+from viskill_deploy.runtime.trajectory import plan_waypoints
 
 EXAMPLE = "Example: viskill export runs/viskill policies/bipegtransfer-viskill"
+TRAJECTORY_EXAMPLE = "Example: viskill export trajectory mine.plan.json mine.csv --rate 1000"
 
 
+class _RunFirst(TyperGroup):
+    """`viskill export RUN OUT` needs no name of a command."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """What is no command's name belongs to the command for training runs."""
+        if args and args[0] not in {*self.commands, "-h", "--help"}:
+            args = ["run", *args]
+        return super().parse_args(ctx, args)
+
+
+app = typer.Typer(
+    cls=_RunFirst,
+    no_args_is_help=True,
+    help="Export a training run as a policy bundle, or a plan for your own player.",
+)
+
+
+@app.command("run", epilog=EXAMPLE)
 def command(
     run: Annotated[Path, typer.Argument(help="Folder that `viskill train` wrote.")],
     output: Annotated[Path, typer.Argument(help="The bundle's folder.")],
@@ -30,3 +60,41 @@ def command(
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "viskill export") from error
     export(load_trained(Run.open(run), method), output, episodes, seed)
+
+
+@app.command("trajectory", epilog=TRAJECTORY_EXAMPLE)
+def trajectory(
+    plan: Annotated[Path, typer.Argument(help="A *.plan.json of `viskill import trajectory`.")],
+    output: Annotated[Path, typer.Argument(help="A .csv, a .npz, or a new folder for a bag.")],
+    rate: Annotated[float, typer.Option(min=10, max=2000, help="Setpoints a second.")] = 250.0,
+    speed: Annotated[
+        float, typer.Option(min=0.05, max=1.0, help="Part of the planned tip speed to use.")
+    ] = 1.0,
+    waypoints: Annotated[
+        bool, typer.Option("--waypoints", help="Write the waypoints, not the smoothed joints.")
+    ] = False,
+    frame: Annotated[FrameName, typer.Option(help="Frame of the waypoints.")] = FrameName.CRTK,
+    control_point: Annotated[
+        PointName, typer.Option(help="Point of the tool that they are about.")
+    ] = PointName.JAW_PIVOT,
+) -> None:
+    """Write the resolved, smoothed joint plan, or its waypoints in any frame, for your own player.
+
+    Joint plans start where the cell's arms start. Nothing that plays them has this project's gate.
+    """
+    file = read_plan(plan)
+    cell = load_cell(file.cell)
+    if waypoints:
+        label = Label(frame.value, control_point.value)
+        write_written(output, written_of(cell, file.unpacked(), label))
+        print(f"{len(file.waypoints)} waypoints, {label}: {output}")
+        return
+    home = resolve(cell, [start_waypoint(cell)], [(0.0,) * 7] * len(cell.arms))[1]
+    motion = plan_waypoints(cell, file.unpacked(), home, speed).motion
+    table: FloatArray = np.ascontiguousarray(motion.table(1.0 / rate)[:, :, :2])
+    arms = [
+        JointNames(arm.name, (*(joint.name for joint in arm.arm.joints), "jaw"))
+        for arm in cell.arms
+    ]
+    write_joint_plan(output, 1.0 / rate, table, arms)
+    print(f"{len(table)} setpoints an arm, {motion.duration_s:.2f} s: {output}")

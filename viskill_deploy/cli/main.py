@@ -20,6 +20,7 @@ from viskill_deploy.cli import (
     bring,
     calibrate,
     check,
+    convert,
     doctor,
     dry_run,
     evaluate,
@@ -52,7 +53,8 @@ app.command("evaluate", epilog=evaluate.EXAMPLE)(evaluate.command)
 app.command("sweep", epilog=sweep.EXAMPLE)(sweep.command)
 app.command("reproduce", epilog=reproduce.EXAMPLE)(reproduce.command)
 app.add_typer(calibrate.app, name="calibrate")
-app.command("export", epilog=export.EXAMPLE)(export.command)
+app.command("convert", epilog=convert.EXAMPLE)(convert.command)
+app.add_typer(export.app, name="export")
 app.add_typer(bring.app, name="import")
 
 

@@ -230,6 +230,18 @@ class Ring(Table):
     grasp_frame_m: tuple[Vector3, Vector3]
 
 
+class SurrolWorld(Table):
+    """The world of SurRoL, in which official policies live; its axes are parallel to the task's.
+
+    Attributes:
+        length_scale: its lengths over metres.
+        task_origin_m: origin of the task frame in it, m before scaling.
+    """
+
+    length_scale: Positive
+    task_origin_m: Vector3
+
+
 class Camera(Table):
     """A view of the cell: a point to look from, a point to look at, both in the task frame."""
 
@@ -248,6 +260,7 @@ class CellFile(Table):
     motion: Motion
     grasp: Grasp
     distances: Distances
+    surrol: SurrolWorld | None = None
     camera: tuple[Camera, ...] = ()
     board: Board | None = None
     block: Block | None = None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 
@@ -26,19 +25,8 @@ from viskill_deploy.bundle.format import (
 )
 from viskill_deploy.bundle.official.checkpoint import Official
 from viskill_deploy.bundle.official.graphs import chain_graph, skill_graph, value_graph
-from viskill_deploy.core.errors import BundleError
-from viskill_deploy.core.robot_files import Vector3
+from viskill_deploy.core.errors import BundleError, DataFileError
 from viskill_deploy.sim.tasks.base import Layout, Task
-
-LENGTH_SCALE = 5.0
-"""The official simulation is run in a world that is enlarged this much."""
-
-TASK_ORIGIN_M: Mapping[str, Vector3] = {
-    "bipegtransfer": (0.55, 0.0, 0.6971),
-    "bipegboard": (0.55, 0.0, 0.690),
-    "matchboardpanel": (0.55, -0.02, 0.676),
-}
-"""Origin of the task's frame in the official world, m: board's or table's top."""
 
 DISPLACEMENT_M = 0.010
 ROTATION_RAD, PITCH_RAD, JAW_OPEN_RAD = (math.radians(a) for a in (30.0, 15.0, 40.0))
@@ -95,7 +83,7 @@ def write_bundle(official: Official, task: Task, folder: Path, scripted: bool = 
     for file, graph in graphs.items():
         (folder / file).write_bytes(graph)
     manifest = _manifest(official, task, folder.name, scripted)
-    (folder / CARD).write_text(_card(official, manifest), encoding="utf-8")
+    (folder / CARD).write_text(_card(official, manifest, _adapter(task)), encoding="utf-8")
     write_manifest(folder, manifest)
     return folder
 
@@ -152,10 +140,15 @@ def _manifest(official: Official, task: Task, name: str, scripted: bool) -> Mani
 
 
 def _adapter(task: Task) -> AdapterEntry:
+    world = task.cell.file.surrol
+    if world is None:
+        raise DataFileError(
+            task.cell.files[0], "surrol", "missing; it says where the task is in that world"
+        )
     return AdapterEntry(
         frame="world",
-        length_scale=LENGTH_SCALE,
-        task_origin_m=TASK_ORIGIN_M[task.name],
+        length_scale=world.length_scale,
+        task_origin_m=world.task_origin_m,
         control_point="jaw_pivot",
     )
 
@@ -173,7 +166,7 @@ def _layout(layout: Layout) -> tuple[LayoutEntry, ...]:
     return tuple(LayoutEntry(name=name, size=size) for name, size in layout)
 
 
-def _card(official: Official, manifest: Manifest) -> str:
+def _card(official: Official, manifest: Manifest, adapter: AdapterEntry) -> str:
     sources = [f"- `{name}`: {skill.path.name}" for name, skill in official.skills.items()]
     sources.append(f"- subgoals: {manifest.subgoals}")
     return CARD_TEXT.format(
@@ -181,6 +174,6 @@ def _card(official: Official, manifest: Manifest) -> str:
         task=manifest.task,
         created_by=manifest.created_by,
         sources="\n".join(sources),
-        scale=LENGTH_SCALE,
-        origin=TASK_ORIGIN_M[manifest.task],
+        scale=adapter.length_scale,
+        origin=adapter.task_origin_m,
     )
