@@ -26,6 +26,7 @@ from viskill_deploy.runtime.dry_run import DryRunOptions, dry_run
 from viskill_deploy.runtime.faults import Injection, parse_fault
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.preflight import Prepared, prepare
+from viskill_deploy.runtime.replay import PLAN_ENDING, PreparedTrajectory, prepare_trajectory
 from viskill_deploy.sim.world import WorldOptions
 
 EXAMPLE = "Example: viskill dry-run policies/bipegtransfer-viskill --episodes 5 --seed 1"
@@ -41,7 +42,9 @@ class ModeName(enum.StrEnum):
 
 
 def command(
-    bundle: Annotated[Path, typer.Argument(help="Folder of a policy bundle.")],
+    bundle: Annotated[
+        Path, typer.Argument(help="Folder of a policy bundle, or a *.plan.json of waypoints.")
+    ],
     episodes: Annotated[int, typer.Option(min=1, help="How many episodes.")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="Seed of layouts and noise.")] = 0,
     distribution: Annotated[
@@ -123,12 +126,12 @@ def command(
         bool, typer.Option("--json", help="Print the figures as one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Dry-run a policy bundle on the simulated cell.
+    """Dry-run a policy bundle, or a trajectory, on the simulated cell.
 
     Every setpoint goes through IK, smoothing and the safety gate, as on a robot. Writes a
     recording, figures and a report. Exits with 5 after a safety stop, 3 on a bad bundle.
     """
-    prepared = prepare(bundle)
+    prepared = _prepared(bundle)
     _check(prepared, distribution, ik_solver)
     world = WorldOptions(
         period_s=1.0 / rate,
@@ -158,7 +161,7 @@ def command(
         faults=_faults(fault or (), mode),
         retries=retries,
     )
-    folder = _new_folder(output, prepared.bundle.manifest.name)
+    folder = _new_folder(output, prepared.name)
     console = Console(stderr=json_)
     figures, failure = _run(prepared, options, folder, console)
     report = _report(prepared, figures, folder, video, console)
@@ -178,11 +181,19 @@ def command(
         raise typer.Exit(MISSED)
 
 
-def _check(prepared: Prepared, distribution: str | None, ik_solver: str) -> None:
-    if distribution is not None and distribution not in prepared.task.distributions:
-        raise typer.BadParameter(
-            f"{prepared.task.name} has the distributions {', '.join(prepared.task.distributions)}"
-        )
+def _prepared(path: Path) -> Prepared | PreparedTrajectory:
+    """What shall be run: the folder of a bundle, or a plan file."""
+    if path.is_file() or path.name.endswith(PLAN_ENDING):
+        return prepare_trajectory(path)
+    return prepare(path)
+
+
+def _check(
+    prepared: Prepared | PreparedTrajectory, distribution: str | None, ik_solver: str
+) -> None:
+    if distribution is not None and distribution not in prepared.distributions:
+        known = ", ".join(prepared.distributions) or "no distributions"
+        raise typer.BadParameter(f"{prepared.cell.name} has the distributions {known}")
     solvers = qpsolvers.available_solvers
     if ik_solver not in solvers:
         raise typer.BadParameter(f"installed QP solvers: {', '.join(solvers)}")
@@ -216,7 +227,7 @@ def _new_folder(output: Path | None, name: str) -> Path:
 
 
 def _run(
-    prepared: Prepared, options: DryRunOptions, folder: Path, console: Console
+    prepared: Prepared | PreparedTrajectory, options: DryRunOptions, folder: Path, console: Console
 ) -> tuple[dict[str, Any], ViskillError | None]:
     """The run's figures, and what ended it early; both are kept when the recorder fails."""
     succeeded = 0
@@ -246,7 +257,11 @@ def _run(
 
 
 def _report(
-    prepared: Prepared, result: dict[str, Any], folder: Path, video: bool, console: Console
+    prepared: Prepared | PreparedTrajectory,
+    result: dict[str, Any],
+    folder: Path,
+    video: bool,
+    console: Console,
 ) -> Path:
     (folder / "result.json").write_text(
         json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8"

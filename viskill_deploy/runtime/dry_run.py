@@ -21,6 +21,7 @@ from viskill_deploy.core.errors import (
     ViskillError,
 )
 from viskill_deploy.core.types import Mode as GateMode
+from viskill_deploy.core.types import ObservationRange
 from viskill_deploy.drivers import loopback, loopback_served
 from viskill_deploy.runtime.boundaries import Job
 from viskill_deploy.runtime.episodes import closed_loop, planned
@@ -29,6 +30,7 @@ from viskill_deploy.runtime.faults import Injection
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.preflight import Prepared
+from viskill_deploy.runtime.replay import PreparedTrajectory, followed
 from viskill_deploy.runtime.session import Recorder, Session
 from viskill_deploy.sim.world import WorldOptions
 
@@ -79,16 +81,16 @@ class Outcome:
 
 
 def dry_run(
-    prepared: Prepared,
+    prepared: Prepared | PreparedTrajectory,
     options: DryRunOptions,
     recorder: Recorder,
     progress: Callable[[EpisodeResult], None] = lambda result: None,
     say: Callable[[str], None] = lambda note: None,
 ) -> Outcome:
-    """Runs a prepared bundle on the loopback.
+    """Runs a prepared bundle, or a trajectory, on the loopback.
 
     Args:
-        prepared: bundle, task and cell.
+        prepared: bundle, task and cell; or waypoints and cell.
         options: what to run.
         recorder: where it is recorded.
         progress: called after every episode.
@@ -100,7 +102,9 @@ def dry_run(
     driver = connect(prepared.cell, options.world, options.seed)
     faults: FaultInjector | None = None
     line = Line(prepared.cell, driver.period_s, options.ik_solver, options.speed)
-    training = prepared.bundle.manifest.training_range.seen
+    training: ObservationRange | None = None
+    if isinstance(prepared, Prepared):
+        training = prepared.bundle.manifest.training_range.seen
     if options.faults:
         faults = FaultInjector(options.faults, driver, recorder)
         driver, recorder = faults.driver, faults.recorder
@@ -137,20 +141,26 @@ def _go_on(session: Session) -> None:
 
 
 def _episode(
-    session: Session, prepared: Prepared, options: DryRunOptions, episode: int
+    session: Session,
+    prepared: Prepared | PreparedTrajectory,
+    options: DryRunOptions,
+    episode: int,
 ) -> EpisodeResult:
     rng = np.random.default_rng([LAYOUTS, options.seed, episode])
     distribution = options.distribution
     if distribution is None and (episode == 0 or options.mode == "closed-loop"):
-        distribution = prepared.task.distributions[0]
-    if distribution is not None:
+        distribution = next(iter(prepared.distributions), None)
+    if prepared.task is not None and distribution is not None:
         session.driver.reset(prepared.task.sample_layout(rng, distribution))
     began = session.driver.clock.now()
-    job = Job(prepared.bundle, prepared.task, options.retries)
     try:
-        if options.mode == "plan":
+        if isinstance(prepared, PreparedTrajectory):
+            result = followed(session, prepared.waypoints, episode, options.speed)
+        elif options.mode == "plan":
+            job = Job(prepared.bundle, prepared.task, options.retries)
             result = planned(session, job, rng, episode, options.speed)
         else:
+            job = Job(prepared.bundle, prepared.task, options.retries)
             result = closed_loop(session, job, rng, episode)
     except (MotionError, KinematicsError, SafetyStop) as error:  # before anything moved
         session.settle()
@@ -161,26 +171,22 @@ def _episode(
 
 
 def _figures(
-    prepared: Prepared,
+    prepared: Prepared | PreparedTrajectory,
     options: DryRunOptions,
     session: Session,
     wall_s: float,
     notes: list[str],
 ) -> dict[str, Any]:
     summary = session.ledger.summary()
-    manifest = prepared.bundle.manifest
+    is_plan = isinstance(prepared, PreparedTrajectory)
     return {
-        "task": manifest.task,
-        "bundle": manifest.name,
-        "mode": options.mode,
-        "distribution": options.distribution or prepared.task.distributions[0],
+        **prepared.about(),
+        "mode": "trajectory" if is_plan else options.mode,
+        "distribution": options.distribution or next(iter(prepared.distributions), "none"),
         "seed": options.seed,
         "ik_solver": options.ik_solver,
         "rate_hz": round(1.0 / options.world.period_s, 6),
         "real_time": options.real_time,
-        "subgoals": manifest.subgoals,
-        "subgoal_layout": [{"name": part.name, "size": part.size} for part in manifest.goal],
-        "value_threshold": manifest.value.threshold if manifest.value else None,
         **summary,
         "empty_jaw_rad": list(session.empty_jaw_rad),
         "wall_s": wall_s,

@@ -6,9 +6,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from viskill_deploy.bundle.format import MANIFEST, Bundle, check_fits, load_bundle
 from viskill_deploy.core import data
@@ -69,6 +71,27 @@ class Prepared:
     notes: tuple[str, ...]
     lines: tuple[Line, ...] = ()
     scene: SeenScene | None = None
+
+    @property
+    def name(self) -> str:
+        """The bundle's name."""
+        return self.bundle.manifest.name
+
+    @property
+    def distributions(self) -> Sequence[str]:
+        """Where layouts can be drawn from."""
+        return self.task.distributions
+
+    def about(self) -> dict[str, Any]:
+        """What a run's figures say of it."""
+        manifest = self.bundle.manifest
+        return {
+            "task": manifest.task,
+            "bundle": manifest.name,
+            "subgoals": manifest.subgoals,
+            "subgoal_layout": [{"name": part.name, "size": part.size} for part in manifest.goal],
+            "value_threshold": manifest.value.threshold if manifest.value else None,
+        }
 
 
 def find_bundle(path: Path) -> Path:

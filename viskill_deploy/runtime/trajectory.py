@@ -24,7 +24,7 @@ OUTSIDE_M = 0.001
 SAME_M, SAME_RAD = 0.001, 0.05
 """Two poses within this are the same place: what stands still is known better."""
 
-APART_M = 0.003
+APART_M, APART_RAD = 0.003, 0.3
 """A file that starts at least this far from the arms starts somewhere else."""
 
 INSERTION_TRAP_M = 0.0071
@@ -118,10 +118,11 @@ def checked_waypoints(
             f"{source}: read as {label}, a waypoint lies {1e3 * look.outside_m:.1f} mm outside the "
             f"workspace of its arm in {cell.name}; {_hint(fitting)}"
         )
-    if not look.starts_there and look.start_m >= APART_M and fitting:
+    if (look.start_m >= APART_M or look.start_rad >= APART_RAD) and fitting:
         raise MotionError(
-            f"{source}: read as {label}, it starts {1e3 * look.start_m:.1f} mm from where the arms "
-            f"of {cell.name} are; {_hint(fitting)}, or begin the file where the arms are"
+            f"{source}: read as {label}, it starts {1e3 * look.start_m:.1f} mm and "
+            f"{math.degrees(look.start_rad):.0f} degrees from where the arms of {cell.name} are; "
+            f"{_hint(fitting)}, or begin the file where the arms are"
         )
     return waypoints
 
