@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -50,11 +50,30 @@ class GraphWriter:
             value = self.node("Gemm", value, self.constant(weight), self.constant(bias), transB=1)
         return value
 
-    def finished(self, outputs: Mapping[str, tuple[str, int]]) -> bytes:
+    def append(self, graph: onnx.GraphProto, inputs: Mapping[str, str]) -> None:
+        """Takes over the nodes and constants of a graph whose names are its own.
+
+        Args:
+            graph: what to append.
+            inputs: the value in this graph that stands for each of its inputs.
+        """
+        for name, value in inputs.items():
+            self._nodes.append(helper.make_node("Identity", [value], [name], name))
+        self._nodes.extend(graph.node)
+        self._constants.extend(graph.initializer)
+
+    def finished(
+        self,
+        outputs: Mapping[str, tuple[str, int]],
+        opsets: Sequence[onnx.OperatorSetIdProto] = (),
+        ir_version: int = IR_VERSION,
+    ) -> bytes:
         """The serialised graph.
 
         Args:
             outputs: inner name and width of every output, by its name; the first is the answer.
+            opsets: of an appended graph; this module's own by default.
+            ir_version: likewise.
         """
         for output, (value, _) in outputs.items():
             self._nodes.append(helper.make_node("Identity", [value], [output], output))
@@ -65,8 +84,9 @@ class GraphWriter:
             [_tensor(name, length) for name, (_, length) in outputs.items()],
             self._constants,
         )
-        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)])
-        model.ir_version = IR_VERSION
+        sets = list(opsets) or [helper.make_opsetid("", OPSET)]
+        model = helper.make_model(graph, opset_imports=sets)
+        model.ir_version = ir_version
         onnx.checker.check_model(model)
         serialised: bytes = model.SerializeToString()
         return serialised

@@ -18,7 +18,7 @@ from viskill_deploy.motion.trajectory import write_plan
 from viskill_deploy.motion.waypoints import start_waypoint
 from viskill_deploy.observe.trajectory_files import read_written
 from viskill_deploy.runtime.trajectory import checked_waypoints, look_at, plan_waypoints
-from viskill_deploy.sim.tasks.base import load_task
+from viskill_deploy.sim.tasks.base import load_task, task_names
 
 app = typer.Typer(no_args_is_help=True, help="Bring a policy or a trajectory that you have.")
 
@@ -128,3 +128,26 @@ def _declared(
     if given != said:
         raise typer.BadParameter(f"{file} says {said}; correct the file or the options")
     return said
+
+
+ONNX_EXAMPLE = "Example: viskill import onnx policy.onnx --describe policy.toml -o policies/mine"
+
+
+@app.command("onnx", epilog=ONNX_EXAMPLE)
+def onnx(
+    policy: Annotated[Path, typer.Argument(help="An .onnx file that holds its own weights.")],
+    describe: Annotated[Path, typer.Option(help="A .toml that says what its numbers mean.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The bundle's folder, new.")],
+) -> None:
+    """Turn any ONNX policy into a bundle, by a small TOML that says what it sees and answers."""
+    try:
+        from viskill_deploy.bundle.foreign.convert import write_foreign  # noqa: PLC0415 - an extra
+        from viskill_deploy.bundle.foreign.description import Description  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("import", "viskill import onnx") from error
+    description = Description(describe)
+    if description.file.task not in task_names():
+        known = ", ".join(task_names())
+        raise description.fault("task", f"{description.file.task!r} is unknown; choose of {known}")
+    load_bundle(write_foreign(policy, description, load_task(description.file.task), output))
+    print(f"bundle: {output}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +10,8 @@ import numpy as np
 from viskill_deploy.bundle.adapter import AdapterEntry
 from viskill_deploy.bundle.format import (
     ActionEntry,
-    ArmEntry,
     ChainingEntry,
-    LayoutEntry,
     Manifest,
-    SkillEntry,
     TrainingRange,
     ValueEntry,
     chain_file,
@@ -23,6 +19,7 @@ from viskill_deploy.bundle.format import (
     value_file,
     write_manifest,
 )
+from viskill_deploy.bundle.making import imported_manifest
 from viskill_deploy.bundle.official.checkpoint import Official
 from viskill_deploy.bundle.official.graphs import chain_graph, skill_graph, value_graph
 from viskill_deploy.core.errors import BundleError, DataFileError
@@ -89,23 +86,15 @@ def write_bundle(official: Official, task: Task, folder: Path, scripted: bool = 
 
 
 def _manifest(official: Official, task: Task, name: str, scripted: bool) -> Manifest:
-    cell, adapter = task.cell, _adapter(task)
+    adapter = _adapter(task)
     chained = [] if scripted else list(official.chaining)
-    return Manifest(
-        schema=1,
+    chaining = ChainingEntry(graphs={s: chain_file(s) for s in chained})
+    value = ValueEntry(graphs={s: value_file(s) for s in chained}, meaning="return")
+    return imported_manifest(
+        task,
         name=name,
-        task=task.name,
-        cell=cell.name,
         method="official",
-        created_by=f"viskill-deploy {version('viskill-deploy')}",
-        arms=tuple(
-            ArmEntry(name=arm.name, robot=arm.entry.robot, tool=arm.entry.tool) for arm in cell.arms
-        ),
-        frame="task",
-        control_point="jaw_pivot",
-        length_unit="m",
         adapter=adapter,
-        step_s=cell.file.motion.step_s,
         action=ActionEntry(
             reference="measured",
             displacement_m=DISPLACEMENT_M,
@@ -116,26 +105,9 @@ def _manifest(official: Official, task: Task, name: str, scripted: bool) -> Mani
             jaw="binary",
             jaw_open_rad=JAW_OPEN_RAD,
         ),
-        observation=_layout(task.observation_layout),
-        goal=_layout(task.goal_layout),
-        skills=tuple(
-            SkillEntry(
-                name=skill.name,
-                file=skill_file(skill.name),
-                budget=skill.budget,
-                may_open_jaw=skill.may_open_jaw,
-            )
-            for skill in task.skills
-        ),
-        subgoals="chaining" if chained else "scripted",
-        chaining=ChainingEntry(graphs={s: chain_file(s) for s in chained}) if chained else None,
-        value=ValueEntry(graphs={s: value_file(s) for s in chained}, meaning="return")
-        if chained
-        else None,
         training_range=_range(official, adapter, task.observation_layout),
-        seeds=(),
-        measured=(),
-        files={},
+        chaining=chaining if chained else None,
+        value=value if chained else None,
     )
 
 
@@ -160,10 +132,6 @@ def _range(official: Official, adapter: AdapterEntry, layout: Layout) -> Trainin
     low = np.min([change.back(s.mean - s.clip * s.std) for s in scales], axis=0)
     high = np.max([change.back(s.mean + s.clip * s.std) for s in scales], axis=0)
     return TrainingRange(lower=tuple(map(float, low)), upper=tuple(map(float, high)))
-
-
-def _layout(layout: Layout) -> tuple[LayoutEntry, ...]:
-    return tuple(LayoutEntry(name=name, size=size) for name, size in layout)
 
 
 def _card(official: Official, manifest: Manifest, adapter: AdapterEntry) -> str:
