@@ -83,7 +83,9 @@ def test_the_rate_may_be_chosen(tmp_path: Path) -> None:
     options = ("--rate", 500, "--no-video", "--json", "--output", tmp_path / "run")
     result = figures(viskill("dry-run", BUNDLE, *options, cwd=tmp_path))
     assert result["interventions"] == 0
-    assert result["setpoints"] == pytest.approx(2 * 500 * result["simulated_s"], rel=0.01)
+    standing_s = 0.5  # at the start, while the empty jaws are measured, nothing is sent
+    streamed_s = result["setpoints"] / (2 * 500)
+    assert result["simulated_s"] - standing_s < streamed_s <= result["simulated_s"]
 
 
 @pytest.mark.parametrize("mode", ["closed-loop", "plan"])
