@@ -217,6 +217,9 @@ class GateThresholds(Table):
     tracking_m: Positive
     tracking_wrist_rad: Positive
     tracking_s: Positive
+    singular_value_slow_m: Positive
+    singular_value_hold_m: Positive
+    ik_residual_m: Positive
 
 
 class RobotFile(Table):

@@ -143,6 +143,8 @@ class Request:
         may_open_jaw: per arm, whether the running skill may open the jaw while it holds something.
         holding: per arm, whether the line believes that the jaw holds something.
         observation: what the policy saw when it asked for this; empty where no policy is asked.
+        tips: where the setpoints are meant to bring the control points, one an arm, task frame, m;
+            empty where the joints themselves are what is wanted.
     """
 
     setpoints: tuple[JointSetpoint, ...] | None
@@ -151,6 +153,7 @@ class Request:
     may_open_jaw: tuple[bool, ...] = ()
     holding: tuple[bool, ...] = ()
     observation: tuple[float, ...] = ()
+    tips: tuple[Joints, ...] = ()
 
 
 class Action(enum.IntEnum):

@@ -11,6 +11,7 @@ import math
 from typing import Protocol
 
 import numpy as np
+import pinocchio as pin
 
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import KinematicsError, ViskillError
@@ -90,6 +91,7 @@ class Line:
         self._planner = SegmentPlanner(cell, period_s, speed)
         self.links = CellLinks(cell)
         self._arms = self.links.arms
+        self._bases = [entry.T_task_base[:3].tolist() for entry in cell.arms]
         self._iks = [
             IkSolver.for_arm(arm, port=_port(entry.port_in_base), solver=ik_solver)
             for arm, entry in zip(self._arms, cell.arms, strict=True)
@@ -205,12 +207,14 @@ class Line:
         observation: tuple[float, ...] = (),
     ) -> Request:
         """The request for smoothed states of all arms: each goes once more through its QP."""
+        goals = [arm.forward(m.p[:6]) for arm, m in zip(self._arms, reference, strict=True)]
         try:
-            commanded = [self._tick(i, motion) for i, motion in enumerate(reference)]
+            commanded = [self._tick(i, goal) for i, goal in enumerate(goals)]
         except KinematicsError as error:
             return Request(None, failure=str(error))
         self._commanded, self._reference = commanded, reference
-        return Request(self.setpoints, "", due, may_open, holding, observation)
+        tips = tuple(map(_in_task, self._bases, goals))
+        return Request(self.setpoints, "", due, may_open, holding, observation, tips)
 
     def place(self, reference: tuple[AxisMotion, ...]) -> None:
         """Takes a moving state of all arms for what was commanded last."""
@@ -251,10 +255,9 @@ class Line:
             for m in sampled
         )
 
-    def _tick(self, index: int, motion: AxisMotion) -> tuple[Joints, Joints]:
+    def _tick(self, index: int, goal: pin.SE3) -> tuple[Joints, Joints]:
         """One QP: joints of an arm at the end of the period, and mean velocities over it."""
         q, v = self._commanded[index]
-        goal = self._arms[index].forward(motion.p[:6])
         solution = self._iks[index].step(q, v, goal, self.period_s)
         return solution.q, solution.v
 
@@ -277,6 +280,12 @@ class Line:
             else:
                 motions.append(motion)
         return tuple(motions)
+
+
+def _in_task(base: list[list[float]], T_base_tip: pin.SE3) -> Joints:
+    """Origin of a pose given in an arm's base, task frame, m."""
+    x, y, z = T_base_tip.translation.tolist()
+    return tuple([a * x + b * y + c * z + d for a, b, c, d in base])
 
 
 def _port(port_in_base: FloatArray) -> PortConstraint | None:

@@ -54,6 +54,13 @@ TRACKING: Final = (0.05, 0.003, 0.1)
 TRACKING_S: Final = 0.05
 """A bump against a block is over sooner; at the run's speed a tip is 2.5 mm farther by then."""
 
+SINGULAR_VALUE_M: Final = (0.025, 0.015)
+"""Smallest singular value of the Jacobian (m, rad) that slows, and that holds: its inverse is what
+a joint turns for a metre of the tip. The tasks' own scripted motions stay above 0.031."""
+
+IK_RESIDUAL_M: Final = 0.001
+"""Between where a tip is meant to be and where its setpoint brings it."""
+
 CONSENT_S: Final = (0.2, 2.0)
 """Silence of an operator that holds, and that ends the run. A person lets go of a pedal within
 200 ms of being startled; a word that is older says nothing about now."""

@@ -31,6 +31,7 @@ class ArmEnvelope:
         max_speed, max_acceleration, max_jerk: (7,).
         first_command: how far the first setpoint may be from the driver's, (6,).
         insertion_min: insertion with the wrist just past the cannula.
+        slow_value, least_value: singular values of the Jacobian that slow and that hold, m.
         tracking: how far a measured joint may be from its setpoint, (6,), for `tracking_time`.
         wrist_offset: depth of the wrist past the remote centre at no insertion.
         wrist_length, jaw_length: from the wrist to the control point, from there to the jaw's end.
@@ -60,6 +61,9 @@ class ArmEnvelope:
     feedback_period: float
     tracking: Joints
     tracking_time: float
+    slow_value: float
+    least_value: float
+    ik_residual: float
     workspace_lower: Point
     workspace_upper: Point
     chain: Chain
@@ -165,6 +169,9 @@ def _arm(cell_path: Path, cell_arm: CellArm) -> ArmEnvelope:
             *(gate.tracking_wrist_rad for _ in by_kind[3:]),
         ),
         tracking_time=float(gate.tracking_s),
+        slow_value=float(gate.singular_value_slow_m),
+        least_value=float(gate.singular_value_hold_m),
+        ik_residual=float(gate.ik_residual_m),
         workspace_lower=entry.workspace_lower_m,
         workspace_upper=entry.workspace_upper_m,
         chain=chain,
@@ -234,6 +241,10 @@ def _check_gate(arm: ArmDescription) -> None:
     for key, ceiling in zip(("rad", "m", "wrist_rad"), ceilings.TRACKING, strict=True):
         _positive(path, f"gate.tracking_{key}", getattr(gate, f"tracking_{key}"), ceiling)
     _positive(path, "gate.tracking_s", gate.tracking_s, ceilings.TRACKING_S)
+    (slow, hold), upper = ceilings.SINGULAR_VALUE_M, gate.singular_value_slow_m
+    check(path, "gate.singular_value_slow_m", upper, slow, 0.2)
+    check(path, "gate.singular_value_hold_m", gate.singular_value_hold_m, hold, upper)
+    _positive(path, "gate.ik_residual_m", gate.ik_residual_m, ceilings.IK_RESIDUAL_M)
     _positive(arm.files[-1], "jaw.finger_length_m", arm.jaw.finger_length_m, ceilings.MAX_FINGER_M)
 
 

@@ -87,6 +87,28 @@ class Chain:
         in_task = self.in_task
         return in_task(point), in_task(jaw_end), in_task(wrist), in_task(shaft_end)
 
+    def jacobian(self, q: Joints) -> list[list[float]]:
+        """Six columns vx vy vz wx wy wz of the control point, base axes, rad and m.
+
+        Craig, section 5.8: a joint's axis is the z axis of its own frame.
+
+        Args:
+            q: joint positions, the first six entries are read.
+        """
+        o, x, y, z = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+        axes: list[tuple[bool, Point, Point]] = []
+        for (slides, ca, sa, a, theta, d), position in zip(reversed(self.links), q, strict=False):
+            angle, rise = (theta, d + position) if slides else (theta + position, d)
+            y, z = _mixed(ca, y, sa, z), _mixed(-sa, y, ca, z)
+            o = _mixed(1.0, o, 1.0, _mixed(a, x, rise, z))
+            axes.append((slides, z, o))
+            c, s = cos(angle), sin(angle)
+            x, y = _mixed(c, x, s, y), _mixed(-s, x, c, y)
+        return [
+            [*z, 0.0, 0.0, 0.0] if slides else [*_cross(z, _mixed(1.0, o, -1.0, at)), *z]
+            for slides, z, at in axes
+        ]
+
     def tip_pose(self, q: Joints) -> tuple[Row, Row, Row]:
         """First three rows of T_base_tip, for the tests that hold it against other models."""
         x_axis, y_axis, z_axis = self.tip_axes
@@ -122,6 +144,18 @@ def _carried(
         y, z = ca * y - sa * z, sa * y + ca * z
         v, w = ca * v - sa * w, sa * v + ca * w
     return (x, y, z), (u, v, w)
+
+
+def _mixed(a: float, first: Point, b: float, second: Point) -> Point:
+    x, y, z = first
+    u, v, w = second
+    return a * x + b * u, a * y + b * v, a * z + b * w
+
+
+def _cross(first: Point, second: Point) -> Point:
+    x, y, z = first
+    u, v, w = second
+    return y * w - z * v, z * u - x * w, x * v - y * u
 
 
 def _point(values: list[float]) -> Point:

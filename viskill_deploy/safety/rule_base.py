@@ -14,9 +14,7 @@ from viskill_deploy.safety import rules
 from viskill_deploy.safety.cycle import Cycle
 from viskill_deploy.safety.envelope import CellEnvelope
 
-REQUIRED: Final = frozenset(
-    f"S{number:02d}" for number in (*range(1, 15), *range(16, 27), 29, 30, 32)
-)
+REQUIRED: Final = frozenset(f"S{number:02d}" for number in (*range(1, 27), 29, 30, 32))
 """A folder from which one of these has gone missing is a broken installation, not a choice."""
 
 

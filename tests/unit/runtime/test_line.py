@@ -68,6 +68,18 @@ def test_every_waypoint_is_met_within_a_tenth_of_a_millimetre() -> None:
             assert np.abs(tip - waypoint.T_task_tip[arm]).max() < 1e-4
 
 
+def test_every_request_says_where_the_tips_are_meant_to_be() -> None:
+    line, waypoint = started()
+    line.go_to(moved(waypoint, 0.4, -0.6, -0.3, 0.3))
+    while not line.arrived:
+        request = line.request(0.0)
+        assert request.setpoints is not None
+        for arm, (setpoint, tip) in enumerate(zip(request.setpoints, request.tips, strict=True)):
+            pose = task_poses(CELL, arm, np.array(setpoint.jp)[None])[0]
+            np.testing.assert_allclose(tip, pose[:3, 3], atol=1e-6)
+        line.advance(1.0)
+
+
 def test_the_last_waypoint_is_met_at_rest() -> None:
     line, waypoint = started()
     line.go_to(moved(waypoint, 0.5, 0.5, -0.5, 0.0), last=True)

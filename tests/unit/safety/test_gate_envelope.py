@@ -76,6 +76,7 @@ def test_the_shipped_thresholds_are_accepted_as_they_are():
     assert (arm.measured_slack, arm.feedback_period) == (0.0087, 0.01)
     assert arm.tracking == (0.05, 0.05, 0.003, 0.1, 0.1, 0.1)
     assert arm.tracking_time == 0.05
+    assert (arm.slow_value, arm.least_value, arm.ik_residual) == (0.025, 0.015, 0.001)
     assert (envelope.tip_speed, envelope.tip_speed_ceiling) == (0.05, 0.25)
     assert (envelope.consent_hold, envelope.consent_stop) == (0.2, 2.0)
 
@@ -116,7 +117,7 @@ def test_no_jaw_limit_gets_looser(key, factor):
 @pytest.mark.parametrize("key", GATE_NUMBERS)
 @pytest.mark.parametrize("factor", ["looser", "metres", -1.0, *NONSENSE])
 def test_no_threshold_of_the_gate_gets_looser(key, factor):
-    looser_is_less = key.startswith(("position_margin", "insertion"))
+    looser_is_less = key.startswith(("position_margin", "insertion", "singular_value"))
     if factor == "looser":
         factor = 0.95 if looser_is_less else 2.1
     elif factor == "metres":
@@ -134,6 +135,13 @@ def test_no_speed_or_floor_of_the_cell_gets_looser(key, value):
 
 def test_the_ceiling_of_the_tip_speed_is_not_under_its_limit():
     assert refused(with_table("motion", "tip_speed_ceiling_m_s", 0.04)).endswith("ceiling_m_s")
+
+
+def test_a_singularity_slows_an_arm_before_it_holds_it():
+    gate = CELL.arms[0].arm.gate.model_copy(update={"singular_value_hold_m": 0.026})
+    assert refused(with_arm(gate=gate)) == "gate.singular_value_hold_m"
+    gate = gate.model_copy(update={"singular_value_slow_m": 0.026})
+    assert CellEnvelope.of(with_arm(gate=gate), 0.004).arms[0].least_value == 0.026
 
 
 def test_a_run_is_held_before_it_is_ended_for_want_of_consent():

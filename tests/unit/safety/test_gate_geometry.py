@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -5,9 +7,14 @@ import pytest
 from viskill_deploy.core import data
 from viskill_deploy.core.cell_files import CellArmEntry
 from viskill_deploy.core.description import CellArm, load_cell, load_robot
+from viskill_deploy.kinematics.arm import Arm
 from viskill_deploy.kinematics.model import forward_batch
+from viskill_deploy.safety.envelope import CellEnvelope
 from viskill_deploy.safety.geometry import Chain
+from viskill_deploy.safety.rules.s15_conditioning import CHANGE, smallest_singular_value
 from viskill_deploy.sim.world import World
+
+CELL = load_cell("bipegtransfer")
 
 PAIRS = [
     (robot, tool)
@@ -26,6 +33,24 @@ def placed(arm) -> CellArm:
 def within_limits(arm, count: int, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     return rng.uniform(arm.limit(0), arm.limit(1), size=(count, 6))
+
+
+@pytest.mark.invariant("S15")
+@pytest.mark.parametrize(("robot", "tool"), PAIRS)
+def test_the_jacobian_is_that_of_the_other_kinematics_and_changes_no_faster_than_is_said(
+    robot, tool
+):
+    """In the cannula too; the smallest singular value by central differences."""
+    description = load_robot(robot, tool)
+    envelope = replace(CellEnvelope.of(CELL, 0.004).arms[1], chain=Chain.of(placed(description)))
+    other, step = Arm(description), 1e-6
+    for q in within_limits(description, 12, 2):
+        ours = np.array(envelope.chain.jacobian((*q.tolist(), 0.3))).T
+        assert abs(ours - other.jacobian(q)).max() < 1e-9
+        for joint, most in enumerate(CHANGE):
+            ends = [q + side * step * np.eye(6)[joint] for side in (-1.0, 1.0)]
+            low, high = (smallest_singular_value(envelope, tuple(end.tolist())) for end in ends)
+            assert abs(high - low) / (2.0 * step) <= most + 1e-8
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,7 +11,12 @@ from gate_rig import PERIOD, RULES, Rig, asking, words, worst
 from viskill_deploy.core.types import Action, JointSetpoint, Request
 from viskill_deploy.safety.cycle import Cycle
 from viskill_deploy.safety.rule_base import Needs, find_rules, verdicts_of
-from viskill_deploy.safety.rules import s05_joint_speed, s18_feedback_age, s24_driver
+from viskill_deploy.safety.rules import (
+    s05_joint_speed,
+    s15_conditioning,
+    s18_feedback_age,
+    s24_driver,
+)
 
 ARMS, JOINTS, AXES, SIGNS = range(2), range(6), range(7), (-1.0, 1.0)
 BAD_NUMBERS = [math.nan, math.inf, -math.inf, 1e309]
@@ -716,6 +722,143 @@ def test_s22_does_not_arm_without_ever_having_heard_a_fresh_word():
     rig = Rig()
     rig.consent, rig.said = True, {"consent_stamp_s": rig.now - 1.0}
     assert worst(words(made("S22"), cycle_of(rig))) >= Action.HOLD
+
+
+# S15: singularities, and tips off their path --------------------------------------------------
+
+
+@cache
+def depth_of(arm: int, value: float) -> float:
+    """Insertion at which the smallest singular value is `value`, the other joints at home."""
+    envelope, low, high = Rig().gate.envelope.arms[arm], 0.016, 0.2
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        q = replaced(Rig().held[arm].jp, 2, middle)
+        is_deep = s15_conditioning.smallest_singular_value(envelope, q) > value
+        low, high = (low, middle) if is_deep else (middle, high)
+    return high
+
+
+@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("step", [-1e-4, -1e-6, 0.0, 1e-6, 1e-4])
+@pytest.mark.parametrize(
+    ("value", "action"),
+    [
+        (0.08, Action.PASS),
+        (0.025 + 1e-7, Action.PASS),
+        (0.025 - 1e-7, Action.SCALE),
+        (0.02, Action.SCALE),
+        (0.015 + 1e-7, Action.SCALE),
+        (0.015 - 1e-7, Action.HOLD),
+        (0.01, Action.HOLD),
+        (0.001, Action.HOLD),
+    ],
+)
+def test_s15_slows_and_holds_on_the_way_to_a_singularity_only(arm, step, value, action):
+    cycle, _ = asking(arm, 2, depth_of(arm, value), step)
+    verdicts = words(made("S15"), cycle)
+    assert worst(verdicts) is (action if step < 0.0 else Action.PASS)
+    for verdict in verdicts:
+        assert verdict.arm == arm
+        assert verdict.value == pytest.approx(1.0 / value, rel=1e-6)
+        assert verdict.limit == pytest.approx(40.0 if action is Action.SCALE else 1.0 / 0.015)
+
+
+def test_s15_a_jacobian_that_is_no_matrix_of_numbers_holds():
+    for far in (1e300, 1.7e308):
+        cycle, _ = asking(0, 2, 0.1)
+        track = cycle.tracks[0]
+        track.asked_q = replaced(track.asked_q, 2, far)
+        track.envelope = replace(track.envelope, chain=Overflowing(track.envelope.chain, far))
+        (verdict,) = words(made("S15"), cycle)
+        assert (verdict.action, verdict.value) == (Action.HOLD, math.inf)
+
+
+class Overflowing:
+    """A chain whose numbers run over when a joint is somewhere absurd."""
+
+    def __init__(self, chain, far: float) -> None:
+        self.chain, self.far = chain, far
+
+    def jacobian(self, q):
+        columns = self.chain.jacobian(q)
+        return [[math.inf] * 6] * 6 if q[2] == self.far else columns
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_s15_what_was_seen_before_never_hides_a_small_singular_value(seed):
+    """A walk through all configurations past the cannula: the bound keeps under the truth."""
+    rng, rule = np.random.default_rng(seed), made("S15")
+    cycle, envelope = asking(0, 2, 0.1)
+    track, arm = cycle.tracks[0], envelope.arms[0]
+    low, high = np.array(arm.lower[:6]), np.array(arm.upper[:6])
+    low[2] = arm.insertion_min
+    q, way, looks = rng.uniform(low, high), rng.normal(size=6), 0
+    for _ in range(150):
+        way = 0.95 * way + 0.3 * rng.normal(size=6)
+        q = np.clip(q + 4e-3 * way * [1.0, 1.0, 0.1, 3.0, 3.0, 3.0], low, high)
+        track.ask(JointSetpoint((*q.tolist(),), (0.0,) * 6, 0.3, 0.0))
+        true = s15_conditioning.smallest_singular_value(arm, track.asked_q) / arm.slow_value - 1.0
+        margin = rule.margin(cycle)
+        looks += rule._at[0] == track.asked_q
+        if true > 0.0:
+            assert min(true / 3.0, 1.0) - 1e-9 <= margin <= true + 1e-9
+        track.accept()
+    assert looks > 0
+
+
+@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("side", SIGNS)
+@pytest.mark.parametrize(
+    ("off", "holds"), [(0.0, 0), (0.0005, 0), (0.001, 0), (0.001001, 1), (0.1, 1), (1e300, 1)]
+)
+def test_s15_holds_a_tip_that_is_off_its_path(arm, axis, side, off, holds):
+    cycle, _ = asking(arm, 2, 0.1)
+    tips = [track.asked_point for track in cycle.tracks]
+    tips[arm] = replaced(tips[arm], axis, tips[arm][axis] + side * off)
+    cycle.request = replace(cycle.request, tips=tuple(tips))
+    verdicts = words(made("S15"), cycle)
+    assert worst(verdicts) is (Action.HOLD if holds else Action.PASS)
+    assert all(v.arm == arm and v.value == pytest.approx(off, rel=1e-6) for v in verdicts)
+    assert all(v.limit == 0.001 for v in verdicts)
+
+
+@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("value", BAD_NUMBERS + WRONG_TYPES)
+def test_s01_faults_on_a_tip_that_is_no_point(arm, axis, value):
+    rig = Rig()
+    tips = replaced(((0.0, 0.0, 0.1),) * 2, arm, replaced((0.0, 0.0, 0.1), axis, value))
+    verdicts = words(made("S01"), cycle_of(rig, Request(rig.stay(), tips=tips)))
+    assert [(v.action, v.arm) for v in verdicts] == [(Action.FAULT, -1)]
+
+
+@pytest.mark.parametrize(
+    "tips",
+    [
+        None,
+        0.0,
+        [(0.0, 0.0, 0.1)] * 2,
+        ((0.0, 0.0, 0.1),),
+        ((0.0, 0.0, 0.1),) * 3,
+        ((0.0, 0.0), (0.0, 0.0, 0.1)),
+        ((0.0, 0.0, 0.1, 0.0), (0.0, 0.0, 0.1)),
+        ([0.0, 0.0, 0.1], (0.0, 0.0, 0.1)),
+        (np.zeros(3), (0.0, 0.0, 0.1)),
+        ("000", (0.0, 0.0, 0.1)),
+    ],
+)
+def test_s01_faults_on_tips_of_a_wrong_shape(tips):
+    rig = Rig()
+    verdicts = words(made("S01"), cycle_of(rig, Request(rig.stay(), tips=tips)))
+    assert [(v.action, v.arm) for v in verdicts] == [(Action.FAULT, -1)]
+
+
+def test_s01_passes_one_tip_an_arm():
+    rig = Rig()
+    cycle = cycle_of(rig, Request(rig.stay(), tips=((0.0, -0.0, 0.1), (5e-324, 1.0, 2.0))))
+    assert words(made("S01"), cycle) == []
 
 
 # S16 - S24, S32: the line, time, the robot ----------------------------------------------------

@@ -54,7 +54,13 @@ class Rule:
             and not isnan(due)
             and len(request.may_open_jaw) in (0, self._arms)
             and len(request.holding) in (0, self._arms)
+            and self._has_sound_tips(request.tips)
         )
+
+    def _has_sound_tips(self, tips: Any) -> bool:
+        if tips.__class__ is not tuple or len(tips) not in (0, self._arms):
+            return False
+        return all(tip.__class__ is tuple and len(tip) == 3 and are_sound(tip) for tip in tips)
 
 
 def _is_sound(setpoint: Any) -> bool:
