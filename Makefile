@@ -6,7 +6,7 @@ BUNDLE ?= policies/bipegtransfer-viskill
 # The CPU suffices for training and tests; name another build of torch here if you have a GPU.
 TORCH  ?= torch==2.13.0
 
-.PHONY: demo test lint unit slow wheel-check bench figures hazards mutation numbers faults false-trips clean
+.PHONY: demo test lint unit slow wheel-check bench figures hazards mutation soak numbers faults false-trips clean
 
 demo: $(VENV)/.runtime
 	$(BIN)/viskill dry-run $(BUNDLE)
@@ -60,6 +60,11 @@ mutation: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/python tests/mutation/run.py --seeded
 	OMP_NUM_THREADS=1 $(BIN)/python tests/mutation/run.py
 	@echo "make mutation: every mutant that matters is found by the tests."
+
+# Five million random cycles of the gate against limits that share no code with it. Resumable.
+soak: $(VENV)/.dev
+	OMP_NUM_THREADS=1 $(BIN)/python tests/soak/run.py
+	@echo "make soak: nothing went out that was neither the request nor a stop inside the limits."
 
 # tests/golden/gate_numbers.json: every threshold of the gate, after one was changed on purpose.
 numbers: $(VENV)/.dev

@@ -25,10 +25,10 @@ FILES = {
 """File: a cell that uses it."""
 NOT_OF_THE_GATE = re.compile(
     r"^schema|actuator_to_joint|dynamics|effort_nm|grip_angle|step_s"
-    r"|^camera|start_|^(ring|block|letter)\b|^board\.size"
+    r"|^camera|start_|^(ring|block|letter|surrol)\b|^board\.size"
     r"|^panel\.(door_(mass|friction|damping)|handle_(radius|from_door))"
 )
-"""Numbers for the simulator, the pictures and the plan."""
+"""Numbers for the simulator, the pictures, the plan and other people's policies."""
 NUMBER = re.compile(r"(?<![\w.\"])-?\d+(?:\.\d*)?(?:e-?\d+)?(?![\w.\"])")
 GOLDEN = gate_numbers.golden()
 
