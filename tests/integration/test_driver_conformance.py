@@ -12,6 +12,7 @@ from viskill_deploy.core.errors import DriverError, SafetyStop
 from viskill_deploy.core.types import PSM_JOINTS, Action, CellState, JointSetpoint, Request
 from viskill_deploy.drivers import loopback, loopback_served
 from viskill_deploy.drivers.base import DISABLED, ENABLED, Driver
+from viskill_deploy.drivers.can import simulated as can
 from viskill_deploy.safety.checked import CheckedSetpoint
 from viskill_deploy.safety.supervisor import Supervisor
 from viskill_deploy.sim.tasks.base import load_task
@@ -20,6 +21,7 @@ from viskill_deploy.sim.world import WorldOptions
 CELL = load_cell("bipegtransfer")
 DRIVERS: dict[str, Callable[[], Driver]] = {
     "loopback": lambda: loopback.connect(CELL),
+    "CAN, stepped": lambda: can.connect(CELL),
     "served loopback": lambda: loopback_served.connect(CELL, WorldOptions(period_s=0.01)),
 }
 SETTLE = 30

@@ -41,6 +41,13 @@ class ModeName(enum.StrEnum):
     PLAN = "plan"
 
 
+class DriverChoice(enum.StrEnum):
+    """What the runtime speaks to."""
+
+    LOOPBACK = "loopback"
+    CAN = "can"
+
+
 def command(
     bundle: Annotated[
         Path, typer.Argument(help="Folder of a policy bundle, or a *.plan.json of waypoints.")
@@ -61,6 +68,10 @@ def command(
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Loopback in its own process, against the clock.")
     ] = False,
+    driver: Annotated[
+        DriverChoice,
+        typer.Option(help="The simulated cell itself, or behind CiA 402 drives on CAN buses."),
+    ] = DriverChoice.LOOPBACK,
     ik_solver: Annotated[str, typer.Option(help="QP solver of the IK.")] = "daqp",
     speed: Annotated[
         float, typer.Option(min=0.05, max=1.0, help="Part of the planned tip speed to use.")
@@ -156,6 +167,7 @@ def command(
         mode="plan" if mode is ModeName.PLAN else "closed-loop",
         world=world,
         real_time=realtime,
+        driver="can" if driver is DriverChoice.CAN else "loopback",
         ik_solver=ik_solver,
         speed=speed,
         faults=_faults(fault or (), mode),

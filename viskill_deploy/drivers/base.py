@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from viskill_deploy.core.clock import Clock
-from viskill_deploy.core.types import ActiveObject, CellState, Scene
+from viskill_deploy.core.errors import DriverError
+from viskill_deploy.core.types import ActiveObject, CellState, JointSetpoint, Scene
 from viskill_deploy.drivers.watch import Watch
 from viskill_deploy.safety.checked import CheckedSetpoint
 
@@ -103,3 +104,20 @@ class Driver(Protocol):
     def reset(self, layout: Scene) -> None:
         """Puts arms and objects where `layout` says; only where `capabilities.resettable`."""
         ...
+
+
+def accepted(setpoints: Sequence[CheckedSetpoint]) -> list[JointSetpoint]:
+    """The numbers of checked setpoints, in the order of the arms.
+
+    Raises:
+        DriverError: something else than the supervisor's setpoints, or not one an arm.
+    """
+    for setpoint in setpoints:
+        if type(setpoint) is not CheckedSetpoint:
+            raise DriverError(
+                f"servo_jp takes CheckedSetpoint, not {type(setpoint).__name__}; "
+                "send what Supervisor.check returns"
+            )
+    if [s.arm for s in setpoints] != list(range(len(setpoints))):
+        raise DriverError("servo_jp needs one setpoint an arm, in the order of the cell")
+    return [s.setpoint for s in setpoints]

@@ -4,43 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Protocol
 
 from viskill_deploy.core.clock import Clock, SteppedClock
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DriverError
 from viskill_deploy.core.types import ActiveObject, CellState, FloatArray, JointSetpoint, Scene
-from viskill_deploy.drivers.base import Capabilities, Driver
+from viskill_deploy.drivers.base import Capabilities, Driver, accepted
 from viskill_deploy.drivers.loopback_cell import LoopbackCell
 from viskill_deploy.drivers.watch import OwnTime, Watch
 from viskill_deploy.safety.checked import CheckedSetpoint
 from viskill_deploy.sim.world import World, WorldOptions
 
 
-def accepted(setpoints: Sequence[CheckedSetpoint]) -> list[JointSetpoint]:
-    """The numbers of checked setpoints, in the order of the arms.
+class Stepping(Protocol):
+    """What a world clock moves on."""
 
-    Raises:
-        DriverError: something else than the supervisor's setpoints, or not one an arm.
-    """
-    for setpoint in setpoints:
-        if type(setpoint) is not CheckedSetpoint:
-            raise DriverError(
-                f"servo_jp takes CheckedSetpoint, not {type(setpoint).__name__}; "
-                "send what Supervisor.check returns"
-            )
-    if [s.arm for s in setpoints] != list(range(len(setpoints))):
-        raise DriverError("servo_jp needs one setpoint an arm, in the order of the cell")
-    return [s.setpoint for s in setpoints]
+    period_s: float
+
+    def lateness_s(self) -> float:
+        """How late the control loop wakes this time."""
+        ...
+
+    def advance(self) -> None:
+        """One control period of physics."""
+        ...
 
 
-class _WorldClock(SteppedClock):
+class WorldClock(SteppedClock):
     """Simulated time: sleeping lets the world run. The sleeper may wake late, the world does not.
 
     Attributes:
         world_s: time of the world, in whole control periods.
     """
 
-    def __init__(self, driver: LoopbackDriver) -> None:
+    def __init__(self, driver: Stepping) -> None:
         super().__init__()
         self._driver, self.world_s = driver, super().now()
 
@@ -51,6 +49,7 @@ class _WorldClock(SteppedClock):
         while self.world_s + (period if late else 0.0) < deadline_s + late - 1e-9:
             self._driver.advance()
             self.world_s += period
+            self.advance(max(self.world_s - self.now(), 0.0))
         woken = deadline_s + late if late else self.world_s
         self.advance(max(woken - self.now(), 0.0))
         return self.now()
@@ -72,7 +71,7 @@ class LoopbackDriver:
     ) -> None:
         self.world = World(cell.filed or cell, options, seed)  # no calibration moves a real arm
         self.period_s = self.world.options.period_s
-        self._time = _WorldClock(self)
+        self._time = WorldClock(self)
         self.clock: Clock = self._time
         self.watch: Watch = OwnTime()
         self._cell: LoopbackCell | None = None

@@ -15,8 +15,7 @@ from viskill_deploy.core.clock import Clock, MonotonicClock
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DriverError
 from viskill_deploy.core.types import ActiveObject, CellState, FloatArray, JointSetpoint, Scene
-from viskill_deploy.drivers.base import Capabilities, Driver
-from viskill_deploy.drivers.loopback import accepted
+from viskill_deploy.drivers.base import Capabilities, Driver, accepted
 from viskill_deploy.drivers.loopback_stop import connected
 from viskill_deploy.drivers.loopback_wire import (
     LineSocket,
@@ -31,6 +30,7 @@ from viskill_deploy.drivers.watch import WatchProcess
 from viskill_deploy.safety.checked import CheckedSetpoint
 from viskill_deploy.sim.world import WorldOptions
 
+SERVER = "viskill_deploy.drivers.loopback_server"
 ANSWER_TIMEOUT_S = 5.0
 POLL_S = 0.0005
 
@@ -42,6 +42,9 @@ class ServedLoopback:
         cell: the cell; the server loads it by its name.
         options: period, noise, delay and what else is not perfect.
         seed: of noise, offsets and losses.
+        server: the program of the process.
+        arguments: what else it is told.
+        is_watched: a watchdog stands by; drives on CAN bring their own.
 
     Attributes:
         path: the server's socket, for a `StopHandle`.
@@ -51,8 +54,16 @@ class ServedLoopback:
     capabilities = Capabilities(simulated=True, stepped=False, resettable=True, sees_scene=True)
 
     def __init__(
-        self, cell: CellDescription, options: WorldOptions | None = None, seed: int = 0
+        self,
+        cell: CellDescription,
+        options: WorldOptions | None = None,
+        seed: int = 0,
+        server: str = SERVER,
+        arguments: Sequence[str] = (),
+        is_watched: bool = True,
     ) -> None:
+        self._command = [sys.executable, "-P", "-m", server, *arguments]
+        self._is_watched = is_watched
         self.clock: Clock = MonotonicClock()
         self._options = options or WorldOptions()
         self.period_s, self._cell, self._seed = self._options.period_s, cell, seed
@@ -72,8 +83,7 @@ class ServedLoopback:
         Raises:
             DriverError: one of them did not come up in time.
         """
-        command = [sys.executable, "-P", "-m", "viskill_deploy.drivers.loopback_server"]
-        command += ["--cell", self._cell.name, "--socket", str(self.path)]
+        command = [*self._command, "--cell", self._cell.name, "--socket", str(self.path)]
         command += ["--seed", str(self._seed)]
         command += ["--options", json.dumps(asdict(self._options))]
         # a session of its own: Ctrl-C in the terminal is for the runtime, which needs the robot
@@ -81,8 +91,9 @@ class ServedLoopback:
         try:
             self._line = LineSocket(connected(self.path, self.clock))
             self._wait(lambda: bool(self._state), "first state")
-            module = "viskill_deploy.drivers.loopback_watchdog"
-            self._watch = WatchProcess(module, [str(self.path)])
+            if self._is_watched:
+                module = "viskill_deploy.drivers.loopback_watchdog"
+                self._watch = WatchProcess(module, [str(self.path)])
         except DriverError:
             self.close()
             raise
@@ -138,6 +149,11 @@ class ServedLoopback:
         self._drain()
         state = unpack_state(self._state)
         return replace(state, inputs=self.watch.told(state.inputs, self.clock.now()))
+
+    def truth(self) -> CellState:
+        """The newest measurement that has arrived, as the simulator has it."""
+        self._drain()
+        return unpack_state(self._state)
 
     def servo_jp(self, setpoints: Sequence[CheckedSetpoint]) -> None:
         """Sends one checked setpoint an arm."""

@@ -11,7 +11,9 @@ from __future__ import annotations
 import argparse
 import selectors
 import socket
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -39,11 +41,48 @@ STOPS = {"hold": LoopbackCell.pause, "disable": LoopbackCell.disable}
 """What a client that does not control may do."""
 
 
-class LoopbackServer:
-    """Steps the world in real time and serves its clients between two steps."""
+class Line(Protocol):
+    """What a front waits on."""
 
-    def __init__(self, world: World, listener: socket.socket) -> None:
+    def fileno(self) -> int:
+        """Of its socket; -1 without one."""
+        ...
+
+
+class Front(Protocol):
+    """What stands between the clients of another protocol and a cell."""
+
+    @property
+    def lines(self) -> Sequence[Line]:
+        """Where its clients speak."""
+        ...
+
+    def poll(self, now: float) -> None:
+        """Hears and answers."""
+        ...
+
+    def advance(self, now: float) -> None:
+        """One control period of itself and the cell."""
+        ...
+
+
+class LoopbackServer:
+    """Steps the world in real time and serves its clients between two steps.
+
+    Args:
+        world: the physics.
+        listener: where clients come.
+        front: what stands between clients and the cell; None where they command it themselves.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        listener: socket.socket,
+        front: Callable[[LoopbackCell], Front] | None = None,
+    ) -> None:
         self.cell, self.clock = LoopbackCell(world), MonotonicClock()
+        self._front = front(self.cell) if front is not None else None
         self._listener, self._clients = listener, list[LineSocket]()
         self._waiting = selectors.DefaultSelector()
         listener.setblocking(False)
@@ -51,6 +90,9 @@ class LoopbackServer:
         self._controller: LineSocket | None = None
         self._stopped = self._had_client = False
         self._alone_since = self.clock.now()
+        for line in self._front.lines if self._front is not None else ():
+            if line.fileno() >= 0:
+                self._waiting.register(line, selectors.EVENT_READ, self._front)
         self._stopped_s: dict[str, float] = {}  # when a client that only watches first did what
 
     def run(self) -> None:
@@ -62,7 +104,10 @@ class LoopbackServer:
             self._serve_until(deadline)
             if self._controller is None and deadline - self._alone_since > LONELY_S:
                 return
-            self.cell.advance()
+            if self._front is None:
+                self.cell.advance()
+            else:
+                self._front.advance(self.clock.now())
             if self._controller is not None:
                 self._publish(self._controller)
 
@@ -73,6 +118,8 @@ class LoopbackServer:
             for key, _ in self._waiting.select(remaining):
                 if key.fileobj is self._listener:
                     self._accept()
+                elif key.data is self._front and self._front is not None:
+                    self._front.poll(self.clock.now())
                 else:
                     self._read(key.data)
             if self.clock.now() >= deadline:
@@ -120,6 +167,8 @@ class LoopbackServer:
     def _do(self, verb: str, message: Message) -> None:
         cell = self.cell
         match verb:
+            case "servo_jp" | "enable" | "home" | "hold" if self._front is not None:
+                raise DriverError(f"{verb} goes over the bus here")
             case "servo_jp":
                 cell.servo_jp(unpack_setpoints(message["setpoints"]))
             case "enable" | "home" | "hold" | "disable":

@@ -23,6 +23,7 @@ from viskill_deploy.core.errors import (
 from viskill_deploy.core.types import Mode as GateMode
 from viskill_deploy.core.types import ObservationRange
 from viskill_deploy.drivers import loopback, loopback_served
+from viskill_deploy.drivers.base import Driver
 from viskill_deploy.runtime.boundaries import Job
 from viskill_deploy.runtime.episodes import closed_loop, planned
 from viskill_deploy.runtime.fault_injection import FaultInjector
@@ -38,6 +39,7 @@ LAYOUTS = 2**29
 """First number of the seeds of layouts: training never uses it."""
 
 Mode = Literal["closed-loop", "plan"]
+DriverName = Literal["loopback", "can"]
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,8 @@ class DryRunOptions:
         distribution: layouts are drawn from it, one an episode. None draws the first from the
             task's first distribution; later plans then start from the scene as they find it.
         world: control period, noise and delay of the simulated cell.
-        real_time: the loopback runs as a process of its own, against the clock.
+        real_time: the simulated cell runs as a process of its own, against the clock.
+        driver: what stands between runtime and simulated cell: nothing, or CiA 402 drives on CAN.
         speed: part of the planned tip speed to use, in (0, 1].
         faults: what goes wrong on the way.
         retries: how often in an episode a skill is tried again where a grasp was lost or the value
@@ -61,6 +64,7 @@ class DryRunOptions:
     mode: Mode = "closed-loop"
     world: WorldOptions = field(default_factory=WorldOptions)
     real_time: bool = False
+    driver: DriverName = "loopback"
     ik_solver: str = "daqp"
     speed: float = 1.0
     faults: tuple[Injection, ...] = ()
@@ -98,8 +102,7 @@ def dry_run(
     """
     clock, notes = MonotonicClock(), list(prepared.notes)
     failure: ViskillError | None = None
-    connect = loopback_served.connect if options.real_time else loopback.connect
-    driver = connect(prepared.cell, options.world, options.seed)
+    driver = _connected(prepared, options)
     faults: FaultInjector | None = None
     line = Line(prepared.cell, driver.period_s, options.ik_solver, options.speed)
     training: ObservationRange | None = None
@@ -128,6 +131,16 @@ def dry_run(
     figures = _figures(prepared, options, session, wall, notes)
     figures["faults"] = [struck.facts() for struck in faults.struck] if faults else []
     return Outcome(figures, failure)
+
+
+def _connected(prepared: Prepared | PreparedTrajectory, options: DryRunOptions) -> Driver:
+    if options.driver == "can":
+        from viskill_deploy.drivers.can import simulated  # noqa: PLC0415 - needs an extra
+
+        on_can = simulated.connect_served if options.real_time else simulated.connect
+        return on_can(prepared.cell, options.world, options.seed)
+    connect = loopback_served.connect if options.real_time else loopback.connect
+    return connect(prepared.cell, options.world, options.seed)
 
 
 def _go_on(session: Session) -> None:
@@ -187,6 +200,7 @@ def _figures(
         "ik_solver": options.ik_solver,
         "rate_hz": round(1.0 / options.world.period_s, 6),
         "real_time": options.real_time,
+        "driver": options.driver,
         **summary,
         "empty_jaw_rad": list(session.empty_jaw_rad),
         "wall_s": wall_s,

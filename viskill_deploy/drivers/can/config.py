@@ -43,6 +43,7 @@ class RotaryAxis(_Axis):
     lower_rad: float
     upper_rad: float
     following_rad: Positive
+    speed_rad_s: Positive
     quick_stop_rad_s2: Positive
 
     @property
@@ -66,6 +67,11 @@ class RotaryAxis(_Axis):
         return self.following_rad
 
     @property
+    def speed(self) -> float:
+        """Speed that the drive never exceeds, rad/s."""
+        return self.speed_rad_s
+
+    @property
     def quick_stop(self) -> float:
         """Deceleration of the quick stop, rad/s²."""
         return self.quick_stop_rad_s2
@@ -80,6 +86,7 @@ class LinearAxis(_Axis):
     lower_m: float
     upper_m: float
     following_m: Positive
+    speed_m_s: Positive
     quick_stop_m_s2: Positive
 
     @property
@@ -101,6 +108,11 @@ class LinearAxis(_Axis):
     def following(self) -> float:
         """Following error at which the drive gives up, m."""
         return self.following_m
+
+    @property
+    def speed(self) -> float:
+        """Speed that the drive never exceeds, m/s."""
+        return self.speed_m_s
 
     @property
     def quick_stop(self) -> float:

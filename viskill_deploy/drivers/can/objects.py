@@ -106,6 +106,7 @@ def _motion(axis: RotaryAxis | LinearAxis, period_s: float) -> tuple[DriveObject
         o(0x6007, 0, 2, SIGNED, QUICK_STOP, "abort connection: quick stop", True),
         o(0x605A, 0, 2, SIGNED, STAY_IN_QUICK_STOP, "quick stop: ramp, then hold", True),
         o(0x605E, 0, 2, SIGNED, RAMP_DOWN, "fault reaction: quick-stop ramp", True),
+        o(0x6080, 0, 4, UNSIGNED, round(axis.speed * axis.scale), "most speed", True),
         o(0x6085, 0, 4, UNSIGNED, ramp, "quick-stop deceleration", True),
         o(0x6065, 0, 4, UNSIGNED, following, "following error window", True),
         o(0x6066, 0, 2, UNSIGNED, _ms(axis.following_s), "following error time, ms", True),

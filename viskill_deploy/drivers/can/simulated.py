@@ -1,0 +1,263 @@
+"""The CAN driver on simulated drives: stepped on a virtual bus, or against a process of its own."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from typing import Protocol
+
+from viskill_deploy.core.clock import Clock
+from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.errors import DriverError
+from viskill_deploy.core.types import ActiveObject, CellState, FloatArray, JointSetpoint, Scene
+from viskill_deploy.drivers.base import Capabilities, Driver
+from viskill_deploy.drivers.can.config import CanFile, load_can
+from viskill_deploy.drivers.can.driver import CanDriver
+from viskill_deploy.drivers.can.simulated_cell import DriveCell
+from viskill_deploy.drivers.loopback import WorldClock
+from viskill_deploy.drivers.loopback_cell import LoopbackCell
+from viskill_deploy.drivers.loopback_served import ServedLoopback
+from viskill_deploy.sim.world import World, WorldOptions
+
+SIMULATED = "simulated"
+"""Source of the consent that a simulated operator gives over the simulated input node."""
+
+SERVER = "viskill_deploy.drivers.can.server"
+
+_numbers = itertools.count()
+
+
+class Side(Protocol):
+    """What a simulated cell does that no robot can be told over CAN."""
+
+    def say(self, consent: bool | None = None, estop: bool | None = None) -> None:
+        """What the simulated operator does."""
+        ...
+
+    def scene(self) -> Scene | None:
+        """Where the objects are."""
+        ...
+
+    def break_drive(self, joint: str, kind: str) -> None:
+        """Breaks a joint's drive, or mends all."""
+        ...
+
+    def active_object(self) -> ActiveObject:
+        """The truth about the active object."""
+        ...
+
+    def reset(self, layout: Scene) -> None:
+        """Puts arms and objects in place."""
+        ...
+
+    def truth(self) -> CellState:
+        """Where the arms really are, as one sees who looks at them."""
+        ...
+
+    def close(self) -> None:
+        """Ends the simulation."""
+        ...
+
+
+class SimulatedCan(CanDriver):
+    """The CAN driver of a simulated cell; everything but `side` goes over the buses."""
+
+    def __init__(
+        self, cell: CellDescription, file: CanFile, side: Side, period_s: float | None = None
+    ) -> None:
+        super().__init__(cell, file, SIMULATED, period_s)
+        self.side = side
+
+    def say(self, consent: bool | None = None, estop: bool | None = None) -> None:
+        """What the simulated operator does; the input node says it."""
+        self._connected()
+        self.side.say(consent, estop)
+
+    def scene(self) -> Scene | None:
+        """The objects as the simulator knows them."""
+        self._connected()
+        return self.side.scene()
+
+    def break_drive(self, joint: str, kind: str) -> None:
+        """A joint's drive breaks."""
+        self.side.break_drive(joint, kind)
+
+    def active_object(self) -> ActiveObject:
+        """The truth about the active object, for judging success."""
+        return self.side.active_object()
+
+    def reset(self, layout: Scene) -> None:
+        """Puts objects where `layout` says and the arms, without power meanwhile, at home."""
+        was_enabled = self._is_enabled
+        self.disable()
+        with self._lock:
+            self.side.reset(layout)
+            self._restart()
+            for _ in range(RESTART_PERIODS):
+                self._pass_period()
+            self._restart()
+            self._last = []
+        if was_enabled:
+            self.enable()
+
+    def close(self) -> None:
+        """Takes power, closes the buses and ends the simulation."""
+        super().close()
+        self.side.close()
+
+
+RESTART_PERIODS = 10
+"""Cycles in which drives and input node are heard again after the simulation stood still."""
+
+
+class _SteppedSide:
+    """The simulated cell in this process."""
+
+    def __init__(self, front: DriveCell, now: Clock) -> None:
+        self._front, self._clock = front, now
+        self._is_open = True
+
+    def say(self, consent: bool | None = None, estop: bool | None = None) -> None:
+        """What the simulated operator does."""
+        self._front.cell.say(consent, estop)
+
+    def scene(self) -> Scene:
+        """The objects as the simulator knows them."""
+        return self._front.cell.scene(self._clock.now())
+
+    def break_drive(self, joint: str, kind: str) -> None:
+        """A joint's drive breaks."""
+        self._front.cell.break_drive(joint, kind)
+
+    def active_object(self) -> ActiveObject:
+        """The truth about the active object."""
+        return self._front.cell.world.active_object()
+
+    def reset(self, layout: Scene) -> None:
+        """Puts objects and arms in place."""
+        self._front.cell.reset(layout)
+
+    def truth(self) -> CellState:
+        """Where the arms really are."""
+        return self._front.cell.state(self._clock.now())
+
+    def close(self) -> None:
+        """Lets go of the drives' ends of the buses."""
+        if self._is_open:
+            self._front.close()
+        self._is_open = False
+
+
+class SteppedCan(SimulatedCan):
+    """Drives on `virtual` buses in this process; time moves only when the clock is slept on.
+
+    Args:
+        cell: the cell as the runtime believes it to be.
+        file: the drives as the driver believes them to be wired.
+        options: period, noise, delay and what else is not perfect.
+        seed: of noise, offsets and losses.
+        really: the cell as it is; `cell` when left out.
+        wiring: the drives as they are wired; as in `file` when left out.
+    """
+
+    capabilities = Capabilities(simulated=True, stepped=True, resettable=True, sees_scene=True)
+
+    def __init__(
+        self,
+        cell: CellDescription,
+        file: CanFile,
+        options: WorldOptions | None = None,
+        seed: int = 0,
+        really: CellDescription | None = None,
+        wiring: CanFile | None = None,
+    ) -> None:
+        number = next(_numbers)
+        self.world = World(really or cell.filed or cell, options, seed)
+        self._time = WorldClock(self)
+        file, wiring = _private(file, number), _private(wiring or file, number)
+        self.front = DriveCell(LoopbackCell(self.world), wiring)
+        side = _SteppedSide(self.front, self._time)
+        super().__init__(cell, file, side, self.world.options.period_s)
+        self.clock = self._time
+        self._seen = 0
+
+    def pause(self) -> None:
+        """Lets the drives answer; no time passes."""
+        self.front.poll(self._time.world_s)
+
+    def advance(self) -> None:
+        """One control period; drives get their SYNC in it, also when nobody sends a setpoint."""
+        if self.masters and self.exchanges == self._seen:
+            self.keep()
+        self._seen = self.exchanges
+        self.front.advance(self._time.world_s)
+
+    def lateness_s(self) -> float:
+        """How late the control loop wakes this time."""
+        return self.world.imperfections.lateness_s()
+
+    def restore(self, physics: FloatArray, setpoints: list[JointSetpoint]) -> None:
+        """Goes to a saved moment of the scene that `reset` has set up, at rest."""
+        self.front.cell.restore(physics, setpoints)
+
+
+def _private(file: CanFile, number: int) -> CanFile:
+    """The same file on virtual buses that nobody else in this process uses."""
+    buses = tuple(
+        bus.model_copy(update={"channel": f"{os.getpid()}-{number}-{bus.arm}"}) for bus in file.bus
+    )
+    return file.model_copy(update={"interface": "virtual", "bus": buses})
+
+
+class ServedCan(SimulatedCan):
+    """Drives in a process of their own, in real time; buses by the file's interface.
+
+    Args:
+        cell: the cell.
+        file: its drives.
+        options: period, noise, delay and what else is not perfect.
+        seed: of noise, offsets and losses.
+    """
+
+    capabilities = Capabilities(simulated=True, stepped=False, resettable=True, sees_scene=True)
+
+    def __init__(
+        self,
+        cell: CellDescription,
+        file: CanFile,
+        options: WorldOptions | None = None,
+        seed: int = 0,
+    ) -> None:
+        options = options or WorldOptions(period_s=1.0 / file.cycle_hz)
+        arguments = ("--can", file.model_dump_json(by_alias=True))
+        side = ServedLoopback(cell, options, seed, SERVER, arguments, is_watched=False)
+        super().__init__(cell, file, side, options.period_s)
+        self._server = side
+
+    def connect(self) -> None:
+        """Starts the process with the drives, and connects."""
+        self._server.connect()
+        try:
+            super().connect()
+        except DriverError:
+            self._server.close()
+            raise
+
+
+def connect(
+    cell: CellDescription, options: WorldOptions | None = None, seed: int = 0, name: str = ""
+) -> Driver:
+    """Connected drives, stepped on virtual buses; the CAN file is called as the cell by default."""
+    driver = SteppedCan(cell, load_can(name or cell.name, cell), options, seed)
+    driver.connect()
+    return driver
+
+
+def connect_served(
+    cell: CellDescription, options: WorldOptions | None = None, seed: int = 0, name: str = ""
+) -> Driver:
+    """Connected drives in a process of their own, over `udp_multicast`."""
+    file = load_can(name or cell.name, cell).model_copy(update={"interface": "udp_multicast"})
+    driver = ServedCan(cell, file, options, seed)
+    driver.connect()
+    return driver
