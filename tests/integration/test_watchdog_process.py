@@ -98,9 +98,10 @@ def test_s26_a_killed_watchdog_ends_the_run_within_50_ms(tmp_path: Path):
         run.await_end("recorder")
     assert (told["cause"], told["mode"]) == ("S26", Mode.HOLDING.value)
     assert run.stopped_s == {}, "the gate's own stop, not the watchdog's"
-    for arm in run.state.arms:
-        assert max(map(abs, arm.measured_jv)) < 1e-2
     data = read_recording(run.recording)
+    for arm in ("PSM1", "PSM2"):  # the last cycle that was recorded: a look may come too late
+        sent = data.joints[f"/{arm}/setpoint_js"].position[-2:]
+        assert abs(sent[1] - sent[0]).max() < 1e-6
     first = next(verdict for verdict in data.verdicts if verdict.rule == "S26")
     assert first.value > first.limit == LOST_S
     date = data.origin_ns * 1e-9 + first.time_s
