@@ -1,0 +1,1 @@
+"""Arms that speak CRTK, as dVRK's do: driver, simulated server, and the ways between them."""

@@ -1,0 +1,75 @@
+"""What carries CRTK's messages: in this process, over ROS 1, over ROS 2, or over plain DDS.
+
+A transport is thin: it moves the values of `messages` and knows nothing of arms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal, Protocol, TypeVar
+
+M = TypeVar("M")
+Q = TypeVar("Q")
+R = TypeVar("R")
+
+TransportName = Literal["inproc", "ros1", "ros2", "dds"]
+
+
+class Transport(Protocol):
+    """A node on some middleware.
+
+    Attributes:
+        name: which it is, for messages to people.
+        has_services: whether `serve` can be called.
+    """
+
+    name: TransportName
+    has_services: bool
+
+    def publisher(
+        self, topic: str, message: type[M], is_latched: bool = False
+    ) -> Callable[[M], None]:
+        """What publishes on a topic, such as "/PSM1/servo_jp". It never waits.
+
+        Commands are RELIABLE, VOLATILE and KEEP_LAST 1 over ROS 2, as dVRK's subscribers want them.
+
+        Raises:
+            DriverError: when called after `close`, or the middleware refuses.
+        """
+        ...
+
+    def subscribe(
+        self,
+        topic: str,
+        message: type[M],
+        hear: Callable[[M, float], None],
+        is_latched: bool = False,
+    ) -> None:
+        """Calls `hear(message, received_s)`, perhaps in another thread, for all that comes.
+
+        `received_s` is the machine's monotonic clock at the arrival (the clock given, in process).
+        `hear` must be quick and raise nothing.
+        """
+        ...
+
+    def serve(
+        self, name: str, request: type[Q], response: type[R], answer: Callable[[Q], R]
+    ) -> None:
+        """Answers a service, perhaps in another thread; only where `has_services`."""
+        ...
+
+    def peers(self, topic: str) -> int:
+        """How many are at the other end of a topic of ours: subscribers or publishers."""
+        ...
+
+    def stamp_ns(self) -> int:
+        """Now, as messages are stamped: nanoseconds since 1970."""
+        ...
+
+    def close(self) -> None:
+        """Leaves the middleware; may be called twice."""
+        ...
+
+
+AnyMessage = Any
+"""One of `messages`."""
