@@ -1,7 +1,8 @@
 """Every fault in every phase of a task on the served loopback, against the clock.
 
 A trial in which the machine took the processor away from the control loop (an overrun) may be
-repeated twice; thresholds and times are those that are declared.
+repeated twice, and so may one whose runtime's process is killed or stopped, since that process
+cannot tell of overruns; thresholds and times are those that are declared.
 """
 
 import os

@@ -143,8 +143,8 @@ def test_low_values_and_refused_subgoals_are_told_in_plain_words(
     replace_file(copy, "value-grasp.onnx", value_graph(0.25))
     run = viskill("dry-run", copy, "--no-video", "--output", tmp_path / "low", cwd=tmp_path)
     assert run.returncode == 0, run.stderr  # nothing was wrong: the runtime did not go on
-    assert "success: 0" in run.stdout or "0 %" in run.stdout
-    assert "0.25" in run.stdout
+    assert "\nsuccess: 0%\n" in run.stdout
+    assert "before grasp: value 0.25 is below 0.50" in run.stdout
     assert "Traceback" not in run.stderr
 
 

@@ -16,6 +16,8 @@ from viskill_deploy.safety.watchdog import DISABLE_S, LOST_S
 
 PERIOD_S = 0.004
 HELD_WITHIN_S = 0.1
+REST_RAD_S = 0.02
+"""Measured speed of a joint that rests: what is left of a drive that settles."""
 
 
 def assert_held_in_time(run: RuntimeToKill, since: float) -> None:
@@ -102,6 +104,7 @@ def test_s26_a_killed_watchdog_ends_the_run_within_50_ms(tmp_path: Path):
     for arm in ("PSM1", "PSM2"):  # the last cycle that was recorded: a look may come too late
         sent = data.joints[f"/{arm}/setpoint_js"].position[-2:]
         assert abs(sent[1] - sent[0]).max() < 1e-6
+        assert abs(data.joints[f"/{arm}/measured_js"].velocity[-1]).max() < REST_RAD_S
     first = next(verdict for verdict in data.verdicts if verdict.rule == "S26")
     assert first.value > first.limit == LOST_S
     date = data.origin_ns * 1e-9 + first.time_s
