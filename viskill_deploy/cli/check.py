@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from viskill_deploy.cli.sources import Calibration, Robot, SceneFile
 from viskill_deploy.core.clock import wall_time
 from viskill_deploy.observe.preflight_table import print_preflight, summary
 from viskill_deploy.runtime.checklist import Checklist
@@ -17,18 +18,6 @@ from viskill_deploy.runtime.preflight import Prepared, Sources
 from viskill_deploy.runtime.rehearsing import preflight
 
 EXAMPLE = "Example: viskill check policies/bipegtransfer-viskill --scene scene.toml"
-
-Robot = Annotated[
-    str,
-    typer.Option(
-        help="Cell of the robot: a name in robots/cells or the path of a TOML file. "
-        "The bundle's own by default."
-    ),
-]
-Calibration = Annotated[Path | None, typer.Option(help="Calibration file of that cell.")]
-SceneFile = Annotated[
-    Path | None, typer.Option("--scene", help="Scene file: where things are, and how well known.")
-]
 
 
 def command(

@@ -15,6 +15,7 @@ import qpsolvers
 import typer
 from rich.console import Console
 
+from viskill_deploy.cli.sources import Calibration, Robot, SceneFile
 from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.errors import Interrupted, RecordingError, SafetyStop, ViskillError
 from viskill_deploy.observe.recording import Recorder
@@ -25,7 +26,7 @@ from viskill_deploy.observe.video import Video, render_video
 from viskill_deploy.runtime.dry_run import DryRunOptions, dry_run
 from viskill_deploy.runtime.faults import Injection, parse_fault
 from viskill_deploy.runtime.ledger import EpisodeResult
-from viskill_deploy.runtime.preflight import Prepared, prepare
+from viskill_deploy.runtime.preflight import Prepared, Sources, prepare
 from viskill_deploy.runtime.replay import PLAN_ENDING, PreparedTrajectory, prepare_trajectory
 from viskill_deploy.sim.world import WorldOptions
 
@@ -52,6 +53,9 @@ def command(
     bundle: Annotated[
         Path, typer.Argument(help="Folder of a policy bundle, or a *.plan.json of waypoints.")
     ],
+    robot: Robot = "",
+    calibration: Calibration = None,
+    scene: SceneFile = None,
     episodes: Annotated[int, typer.Option(min=1, help="How many episodes.")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="Seed of layouts and noise.")] = 0,
     distribution: Annotated[
@@ -142,7 +146,9 @@ def command(
     Every setpoint goes through IK, smoothing and the safety gate, as on a robot. Writes a
     recording, figures and a report. Exits with 5 after a safety stop, 3 on a bad bundle.
     """
-    prepared = _prepared(bundle)
+    prepared = _prepared(Sources(bundle, robot, calibration, scene, wall_time()))
+    if scene is not None and distribution is not None:
+        raise typer.BadParameter("--scene says where things are; leave --distribution out")
     _check(prepared, distribution, ik_solver)
     world = WorldOptions(
         period_s=1.0 / rate,
@@ -193,11 +199,16 @@ def command(
         raise typer.Exit(MISSED)
 
 
-def _prepared(path: Path) -> Prepared | PreparedTrajectory:
+def _prepared(sources: Sources) -> Prepared | PreparedTrajectory:
     """What shall be run: the folder of a bundle, or a plan file."""
-    if path.is_file() or path.name.endswith(PLAN_ENDING):
-        return prepare_trajectory(path)
-    return prepare(path)
+    path = sources.bundle
+    if not (path.is_file() or path.name.endswith(PLAN_ENDING)):
+        return prepare(sources)
+    if sources.robot or sources.calibration or sources.scene:
+        raise typer.BadParameter(
+            "--robot, --calibration and --scene go with a policy bundle; a plan file names its cell"
+        )
+    return prepare_trajectory(path)
 
 
 def _check(

@@ -151,8 +151,9 @@ def load_robot(name: str, tool: str) -> ArmDescription:
 
 
 def load_cell(name: str | Path) -> CellDescription:
-    """The cell `name` of `robots/cells/`, or the one in a file, with its arms."""
-    path = name if isinstance(name, Path) else data.find(f"robots/cells/{name}.toml")
+    """The cell `name` of `robots/cells/`, or the one in a TOML file, with its arms."""
+    is_file = isinstance(name, Path) or name.endswith(".toml")
+    path = Path(name) if is_file else data.find(f"robots/cells/{name}.toml")
     cell = read_toml(path, CellFile)
     arms = []
     for entry in cell.arm:

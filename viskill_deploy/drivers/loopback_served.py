@@ -39,7 +39,7 @@ class ServedLoopback:
     """The simulated cell in a process of its own, in real time.
 
     Args:
-        cell: the cell; the server loads it by its name.
+        cell: the cell; the server loads its file.
         options: period, noise, delay and what else is not perfect.
         seed: of noise, offsets and losses.
         server: the program of the process.
@@ -83,7 +83,8 @@ class ServedLoopback:
         Raises:
             DriverError: one of them did not come up in time.
         """
-        command = [*self._command, "--cell", self._cell.name, "--socket", str(self.path)]
+        cell = (self._cell.filed or self._cell).files[0]  # no calibration moves a real arm
+        command = [*self._command, "--cell", str(cell), "--socket", str(self.path)]
         command += ["--seed", str(self._seed)]
         command += ["--options", json.dumps(asdict(self._options))]
         # a session of its own: Ctrl-C in the terminal is for the runtime, which needs the robot

@@ -21,7 +21,7 @@ from viskill_deploy.core.errors import (
     ViskillError,
 )
 from viskill_deploy.core.types import Mode as GateMode
-from viskill_deploy.core.types import ObservationRange
+from viskill_deploy.core.types import ObservationRange, Scene
 from viskill_deploy.drivers import loopback, loopback_served
 from viskill_deploy.drivers.base import Driver
 from viskill_deploy.runtime.boundaries import Job
@@ -160,11 +160,9 @@ def _episode(
     episode: int,
 ) -> EpisodeResult:
     rng = np.random.default_rng([LAYOUTS, options.seed, episode])
-    distribution = options.distribution
-    if distribution is None and (episode == 0 or options.mode == "closed-loop"):
-        distribution = next(iter(prepared.distributions), None)
-    if prepared.task is not None and distribution is not None:
-        session.driver.reset(prepared.task.sample_layout(rng, distribution))
+    layout = layout_of(prepared, options, episode, rng)
+    if layout is not None:
+        session.driver.reset(layout)
     began = session.driver.clock.now()
     try:
         if isinstance(prepared, PreparedTrajectory):
@@ -183,6 +181,23 @@ def _episode(
     return result
 
 
+def layout_of(
+    prepared: Prepared | PreparedTrajectory,
+    options: DryRunOptions,
+    episode: int,
+    rng: np.random.Generator,
+) -> Scene | None:
+    """Where the things of an episode are put; None leaves them where they are."""
+    if isinstance(prepared, Prepared) and prepared.scene is not None:
+        return prepared.scene.scene
+    distribution = options.distribution
+    if distribution is None and (episode == 0 or options.mode == "closed-loop"):
+        distribution = next(iter(prepared.distributions), None)
+    if prepared.task is None or distribution is None:
+        return None
+    return prepared.task.sample_layout(rng, distribution)
+
+
 def _figures(
     prepared: Prepared | PreparedTrajectory,
     options: DryRunOptions,
@@ -195,7 +210,7 @@ def _figures(
     return {
         **prepared.about(),
         "mode": "trajectory" if is_plan else options.mode,
-        "distribution": options.distribution or next(iter(prepared.distributions), "none"),
+        "distribution": _where(prepared, options),
         "seed": options.seed,
         "ik_solver": options.ik_solver,
         "rate_hz": round(1.0 / options.world.period_s, 6),
@@ -209,6 +224,13 @@ def _figures(
         "files": [{"path": path, "sha256": digest} for path, digest in prepared.files],
         "notes": notes,
     }
+
+
+def _where(prepared: Prepared | PreparedTrajectory, options: DryRunOptions) -> str:
+    """Where the layouts come from, for the figures."""
+    if isinstance(prepared, Prepared) and prepared.scene is not None:
+        return prepared.scene.path.name
+    return options.distribution or next(iter(prepared.distributions), "none")
 
 
 @contextlib.contextmanager

@@ -170,7 +170,7 @@ def _bundle(path: Path) -> Found[Bundle]:
 
 def _robot(bundle: Bundle, robot: str) -> Found[tuple[CellDescription, Task]]:
     manifest = bundle.manifest
-    cell = load_cell(Path(robot) if robot.endswith(".toml") else robot or manifest.cell)
+    cell = load_cell(robot or manifest.cell)
     check_fits(bundle, cell)
     task = load_task(manifest.task, cell)
     _check_layout(bundle, task)

@@ -1,0 +1,20 @@
+"""The options that name the files of a run; `check`, `dry-run` and `execute` have the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Robot = Annotated[
+    str,
+    typer.Option(
+        help="Cell of the robot: a name in robots/cells or the path of a TOML file. "
+        "The bundle's own by default."
+    ),
+]
+Calibration = Annotated[Path | None, typer.Option(help="Calibration file of that cell.")]
+SceneFile = Annotated[
+    Path | None, typer.Option("--scene", help="Scene file: where things are, and how well known.")
+]
