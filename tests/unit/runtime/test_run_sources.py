@@ -49,7 +49,8 @@ def test_a_dry_run_starts_from_the_scene_file_with_the_calibrated_cell(tmp_path:
     calibration = write_fresh(tmp_path / "cell.json", load_cell("bipegtransfer"))
     prepared = prepare(Sources(BUNDLE, "bipegtransfer", calibration, scene, time.time()))
     recorder = FirstScene()
-    figures = dry_run(prepared, DryRunOptions(mode="plan", world=WorldOptions(0.01)), recorder).figures
+    options = DryRunOptions(mode="plan", world=WorldOptions(0.01))
+    figures = dry_run(prepared, options, recorder).figures
     assert figures["distribution"] == "scene.toml"
     assert figures["success_rate"] == 1.0
     assert recorder.first is not None
@@ -87,7 +88,7 @@ def test_the_served_loopback_is_the_cell_of_the_file(tmp_path: Path) -> None:
     driver = ServedLoopback(cell)
     driver.connect()
     try:
-        joints = [arm.measured_jp for arm in driver.state().arms]
+        joints = [arm.setpoint_jp for arm in driver.state().arms]
         tip = CellLinks(cell).tips(joints)[0]
         assert tip[0, 3] == pytest.approx(-0.04, abs=1e-3)
     finally:
