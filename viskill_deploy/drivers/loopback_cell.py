@@ -32,10 +32,13 @@ class LoopbackCell:
 
     Args:
         world: the physics.
+
+    Attributes:
+        placements: how often somebody has put the arms elsewhere.
     """
 
     def __init__(self, world: World) -> None:
-        self.world = world
+        self.world, self.placements = world, 0
         self._state, self._homed = DISABLED, False
         self._consent = self._estop = False
         self._setpoints: list[JointSetpoint] = []
@@ -44,16 +47,28 @@ class LoopbackCell:
         self._is_lost = False
         self._stay_at_home()
 
+    @property
+    def operating_state(self) -> str:
+        """Of all arms alike: DISABLED, ENABLED or PAUSED."""
+        return self._state
+
+    @property
+    def setpoints(self) -> tuple[JointSetpoint, ...]:
+        """What every arm holds."""
+        return tuple(self._setpoints)
+
     def reset(self, scene: Scene) -> None:
         """Puts objects where `scene` says and the arms in their start pose, at rest."""
         self.world.reset(scene)
         self._known = None
+        self.placements += 1
         self._stay_at_home()
 
     def restore(self, physics: FloatArray, setpoints: Sequence[JointSetpoint]) -> None:
         """Goes to a state of `World.save` of the same scene, holding setpoints at rest."""
         self.world.restore(physics)
         self._known, self._setpoints = None, list(setpoints)
+        self.placements += 1
         self.hold()
 
     def enable(self) -> None:
@@ -161,7 +176,11 @@ class LoopbackCell:
                     tool=arm.arm.tool,
                 )
             )
-        return CellState(tuple(arms), Inputs(self._consent, now, "simulated", self._estop))
+        return CellState(tuple(arms), self.inputs(now))
+
+    def inputs(self, now: float) -> Inputs:
+        """What the simulated operator does."""
+        return Inputs(self._consent, now, "simulated", self._estop)
 
     def scene(self, now: float) -> Scene:
         """The objects as seen at `now`."""

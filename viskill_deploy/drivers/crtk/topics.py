@@ -28,6 +28,9 @@ from viskill_deploy.drivers.crtk.messages import (
     WrenchStamped,
 )
 
+Version = Literal["2.4", "2.3"]
+"""Of the dVRK software; "2.3" stands for 2.2 too."""
+
 
 @dataclass(frozen=True, slots=True)
 class Topic:
@@ -142,6 +145,13 @@ _BY_NAME = {topic.name: topic for topic in (*ARM, *CONSOLE)}
 def topic(name: str) -> Topic:
     """The topic called so, without an arm's name."""
     return _BY_NAME[name]
+
+
+def named(topic: Topic, version: Version) -> str:
+    """What a version of dVRK calls a topic; an arm's name still has to stand in front."""
+    if version == "2.4":
+        return topic.name
+    return topic.old_name or topic.name.replace("system/", "console/")
 
 
 def following(arm: str) -> str:
