@@ -1,6 +1,7 @@
 """What a session tells its watchdog, and what it does about what the watchdog says."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -131,13 +132,13 @@ def test_a_driver_in_real_time_without_a_watchdog_is_refused() -> None:
         Session(CELL, driver, Line(CELL, driver.period_s), Notebook())
 
 
-def test_real_time_is_asked_for_before_the_gate_is_armed_and_given_back_at_rest(
+def test_memory_is_locked_before_power_and_real_time_is_given_back_at_rest(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It may take a quarter of a second, in which the feedback grows old."""
     done: list[str] = []
-    monkeypatch.setattr(realtime, "prepare", lambda: done.append("prepare"))
-    monkeypatch.setattr(realtime, "release", lambda: done.append("release"))
+    for name in ("settle", "prepare", "pause", "release"):
+        monkeypatch.setattr(realtime, name, partial(done.append, name))
     arm = Supervisor.arm
 
     def armed(gate: Supervisor, state: CellState, now: float) -> tuple[Verdict, ...]:
@@ -146,11 +147,13 @@ def test_real_time_is_asked_for_before_the_gate_is_armed_and_given_back_at_rest(
 
     monkeypatch.setattr(Supervisor, "arm", armed)
     session, _, listener = moving(stepped=False)
-    assert done == ["prepare", "arm"]
+    assert done == ["settle", "prepare", "arm"]
     session.settle()
-    assert done == ["prepare", "arm", "release"]
+    assert done == ["settle", "prepare", "arm", "pause"]
     listener.has_stepped_in = True
     session.make_ready()
     with pytest.raises(SafetyStop, match="S25"):
         session.begin()
-    assert done == ["prepare", "arm", "release"] * 2
+    assert done == ["settle", "prepare", "arm", "pause"] * 2
+    session.__exit__(None, None, None)
+    assert done[-1] == "release"

@@ -22,6 +22,7 @@ CELL = load_cell("bipegtransfer")
 DRIVERS: dict[str, Callable[[], Driver]] = {
     "loopback": lambda: loopback.connect(CELL),
     "CAN, stepped": lambda: can.connect(CELL),
+    "CAN, served": lambda: can.connect_served(CELL, WorldOptions(period_s=0.01)),
     "served loopback": lambda: loopback_served.connect(CELL, WorldOptions(period_s=0.01)),
 }
 SETTLE = 30

@@ -13,38 +13,69 @@ WATCHDOG_PRIORITY = 60
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 
 
-def prepare(priority: int = PRIORITY) -> list[str]:
-    """Freezes the garbage collector, asks for SCHED_FIFO and locked memory.
+_settled: list[str] | None = None
+"""What `settle` was refused; None before it, and after `release`."""
+
+
+def settle() -> list[str]:
+    """Sweeps and freezes what there is, and locks memory: both stand the process still for a while.
+
+    Done once, before arms have power; again only after `release`.
 
     Returns:
         One sentence for each thing that was refused; empty when all was granted.
     """
-    gc.collect()
-    gc.freeze()
+    global _settled  # noqa: PLW0603 - a property of the process
+    if _settled is None:
+        gc.collect()
+        gc.freeze()
+        _settled = []
+        libc = ctypes.CDLL(None, use_errno=True)
+        if not hasattr(libc, "mlockall") or libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
+            _settled.append(
+                "memory is not locked: a page fault may delay the control loop; "
+                "allow it with a memlock entry in /etc/security/limits.conf"
+            )
+    return list(_settled)
+
+
+def prepare(priority: int = PRIORITY) -> list[str]:
+    """From now on the calling thread is punctual: SCHED_FIFO, no garbage collector; settled.
+
+    Returns:
+        One sentence for each thing that was refused; empty when all was granted.
+    """
+    notes = settle()
+    gc.collect()  # little: what there was when it settled is frozen
     gc.disable()
-    notes = []
+    return first_in_line(priority) + notes
+
+
+def first_in_line(priority: int = PRIORITY) -> list[str]:
+    """Asks for SCHED_FIFO for the calling thread; returns what was refused."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except (AttributeError, OSError) as error:
-        notes.append(
+        return [
             f"no real-time scheduling ({error}): other programs may delay the control loop; "
             "allow it with a rtprio entry in /etc/security/limits.conf"
-        )
-    libc = ctypes.CDLL(None, use_errno=True)
-    if not hasattr(libc, "mlockall") or libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
-        notes.append(
-            "memory is not locked: a page fault may delay the control loop; "
-            "allow it with a memlock entry in /etc/security/limits.conf"
-        )
-    return notes
+        ]
+    return []
+
+
+def pause() -> None:
+    """Gives normal scheduling and garbage collection back; what is settled stays so."""
+    gc.enable()
+    if hasattr(os, "sched_setscheduler"):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def release() -> None:
-    """Gives normal scheduling, pageable memory and garbage collection back."""
-    gc.enable()
+    """Gives pageable memory back, too."""
+    global _settled  # noqa: PLW0603
+    pause()
     gc.unfreeze()
-    if hasattr(os, "sched_setscheduler"):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    _settled = None
     libc = ctypes.CDLL(None)
     if hasattr(libc, "munlockall"):
         libc.munlockall()

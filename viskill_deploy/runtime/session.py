@@ -163,6 +163,8 @@ class Session:
             self.settle()
         finally:
             self.driver.close()
+            if not self.driver.capabilities.stepped:
+                realtime.release()
 
     def settle(self) -> None:
         """Brings arms that are still under way to rest."""
@@ -172,6 +174,8 @@ class Session:
 
     def make_ready(self) -> CellState:
         """Enables and homes the arms; returns their state. Nothing moves yet."""
+        if not self.driver.capabilities.stepped:
+            realtime.settle()  # takes its time: before arms have power and count on us
         self.driver.enable()
         self.driver.home()
         self._deadline = self.driver.clock.now()
@@ -188,7 +192,7 @@ class Session:
             SafetyStop: the gate refuses; names the rules.
         """
         if not self.driver.capabilities.stepped:
-            realtime.prepare()  # takes its time: before anybody counts on ours
+            realtime.prepare()
         try:
             state = self._armed()
         except ViskillError:
@@ -306,7 +310,7 @@ class Session:
         self._is_moving = False
         self.driver.watch.release()
         if not self.driver.capabilities.stepped:
-            realtime.release()
+            realtime.pause()
 
     def read(self) -> CellState:
         """The newest state; the last one, and a report to the gate, when the driver fails."""

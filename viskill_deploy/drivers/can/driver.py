@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Sequence
 from functools import partial
 
+from viskill_deploy.core import realtime
 from viskill_deploy.core.clock import Clock, MonotonicClock
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DriverError
@@ -395,8 +396,11 @@ class CanDriver:
             self._company.start()
 
     def _accompany(self) -> None:
+        realtime.first_in_line()
         while self.masters:
             self.clock.sleep_until(self.clock.now() + self.period_s)
+            if self._drive_watch.is_moving:
+                continue
             with self._lock:
                 is_late = self.clock.now() - self._sync_s > COMPANY * self.period_s
                 if self.masters and is_late and not self._drive_watch.is_moving:

@@ -13,6 +13,8 @@ try:
 except ImportError as error:
     raise MissingExtraError("can", "the CAN driver") from error
 
+from viskill_deploy.drivers.can.multicast import LoopbackMulticast
+
 MOST_AT_ONCE = 2000
 """Frames that are read in one go: more than a second's worth, so that a babbler starves nobody."""
 
@@ -44,9 +46,8 @@ class CanLine:
     def __init__(self, owner: str, interface: str, channel: str, is_fd: bool = False) -> None:
         self.owner, self.foreign, self.trouble = owner, 0, ""
         self._is_fd = is_fd
-        options: dict[str, Any] = {"fd": is_fd} if interface != "virtual" else {}
         try:
-            self._bus = can.Bus(interface=interface, channel=channel, **options)
+            self._bus = _opened(interface, channel, is_fd)
         except (can.CanError, OSError, ValueError) as error:
             raise DriverError(
                 f"bus of {owner}: {interface} {channel} cannot be opened ({error}); look at "
@@ -91,7 +92,7 @@ class CanLine:
             try:
                 message = self._bus.recv(0.0)
             except (can.CanError, ValueError, TypeError, KeyError):
-                self.foreign += 1  # a datagram that is no frame
+                self.foreign += 1  # no frame
                 continue
             if message is None:
                 if self._descriptor < 0:
@@ -99,7 +100,7 @@ class CanLine:
                 continue  # one of our own
             if message.is_error_frame:
                 self._note(message.arbitration_id, bytes(message.data))
-            elif message.is_extended_id or message.is_remote_frame:
+            elif message.is_extended_id or message.is_remote_frame or self._is_odd(message):
                 self.foreign += 1
             else:
                 frames.append((message.arbitration_id, bytes(message.data)))
@@ -109,6 +110,9 @@ class CanLine:
     def close(self) -> None:
         """Lets go of the bus."""
         self._bus.shutdown()
+
+    def _is_odd(self, message: can.Message) -> bool:
+        return message.is_fd and not self._is_fd
 
     def _note(self, identifier: int, data: bytes) -> None:
         if identifier & BUS_OFF:
@@ -125,3 +129,10 @@ class CanLine:
     def _say(self, what: str) -> None:
         if not self.trouble:
             self.trouble = f"bus of {self.owner} {what}; look at its plugs and terminators"
+
+
+def _opened(interface: str, channel: str, is_fd: bool) -> can.BusABC:
+    if interface == "udp_multicast":
+        return LoopbackMulticast(channel)
+    options: dict[str, Any] = {"fd": is_fd} if interface == "socketcan" else {}
+    return can.Bus(interface=interface, channel=channel, **options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import itertools
 import os
 from typing import Protocol
@@ -23,6 +24,10 @@ SIMULATED = "simulated"
 """Source of the consent that a simulated operator gives over the simulated input node."""
 
 SERVER = "viskill_deploy.drivers.can.server"
+
+FIRST_GROUP, GROUPS = ipaddress.IPv4Address("239.64.0.0"), 2**20
+MOST_BUSES = 16
+"""Buses of one process before its groups reach those of the next."""
 
 _numbers = itertools.count()
 
@@ -203,10 +208,24 @@ class SteppedCan(SimulatedCan):
 
 def _private(file: CanFile, number: int) -> CanFile:
     """The same file on virtual buses that nobody else in this process uses."""
-    buses = tuple(
-        bus.model_copy(update={"channel": f"{os.getpid()}-{number}-{bus.arm}"}) for bus in file.bus
-    )
-    return file.model_copy(update={"interface": "virtual", "bus": buses})
+    channels = [f"{os.getpid()}-{number}-{bus.arm}" for bus in file.bus]
+    return _on(file, "virtual", channels)
+
+
+def _shared(file: CanFile, number: int) -> CanFile:
+    """The same file on multicast groups that hardly any other process uses.
+
+    One that does is another master, which stops both.
+    """
+    first = os.getpid() * MOST_BUSES + number * len(file.bus)
+    groups = [str(FIRST_GROUP + (first + i) % GROUPS) for i in range(len(file.bus))]
+    return _on(file, "udp_multicast", groups)
+
+
+def _on(file: CanFile, interface: str, channels: list[str]) -> CanFile:
+    pairs = zip(file.bus, channels, strict=True)
+    buses = tuple(bus.model_copy(update={"channel": channel}) for bus, channel in pairs)
+    return file.model_copy(update={"interface": interface, "bus": buses})
 
 
 class ServedCan(SimulatedCan):
@@ -257,7 +276,7 @@ def connect_served(
     cell: CellDescription, options: WorldOptions | None = None, seed: int = 0, name: str = ""
 ) -> Driver:
     """Connected drives in a process of their own, over `udp_multicast`."""
-    file = load_can(name or cell.name, cell).model_copy(update={"interface": "udp_multicast"})
+    file = _shared(load_can(name or cell.name, cell), next(_numbers))
     driver = ServedCan(cell, file, options, seed)
     driver.connect()
     return driver
