@@ -73,6 +73,19 @@ class Arm:
         pin.forwardKinematics(self.model, self._data, _joints(q))
         return pin.SE3(pin.updateFramePlacement(self.model, self._data, self._tip))
 
+    def joint_frame(self, q: npt.ArrayLike, joint: int) -> pin.SE3:
+        """Frame of one joint in the base frame.
+
+        Args:
+            q: joints, (6,); those behind `joint` do not matter.
+            joint: 1 to 6; 0 is the base itself.
+
+        Raises:
+            KinematicsError: not six finite numbers.
+        """
+        pin.forwardKinematics(self.model, self._data, _joints(q))
+        return pin.SE3(self._data.oMi[joint])
+
     def jacobian(self, q: npt.ArrayLike) -> FloatArray:
         """Geometric Jacobian at the tip, (6, 6): rows vx vy vz wx wy wz, base axes.
 

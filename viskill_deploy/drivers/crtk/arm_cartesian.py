@@ -36,9 +36,17 @@ class Cartesian:
         pose: FloatArray = self._arm.forward(q).homogeneous
         return pose
 
-    def placed(self, q: Sequence[float]) -> FloatArray:
-        """Pose of the tip in the task frame, (4, 4)."""
-        pose: FloatArray = self.T_task_base @ self.local(q)
+    def frame(self, q: Sequence[float]) -> FloatArray:
+        """Frame of the last of the joints given, RCM frame, (4, 4); of the tip for all six.
+
+        Raises:
+            KinematicsError: more than six, or not finite.
+        """
+        count = len(q)
+        if count > 5:
+            return self.local(q)
+        tip_of = (*q, *(0.0,) * (6 - count))
+        pose: FloatArray = self._arm.joint_frame(tip_of, count).homogeneous
         return pose
 
     def is_past_cannula(self, q: Sequence[float]) -> bool:
