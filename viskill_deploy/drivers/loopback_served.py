@@ -185,6 +185,10 @@ class ServedLoopback:
         """A joint's drive breaks; for tests of what happens then."""
         self._ask({"do": "break_drive", "joint": joint, "kind": kind})
 
+    def cause(self, fault: str, arm: str, is_on: bool = True) -> None:
+        """Begins or ends a fault of what stands in front of the cell, such as a dVRK's."""
+        self._ask({"do": "cause", "fault": fault, "arm": arm, "is_on": is_on})
+
     def _connected_line(self) -> LineSocket:
         if self._line is None:
             raise DriverError("the loopback is not connected; call connect() first")

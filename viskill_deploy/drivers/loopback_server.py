@@ -65,6 +65,10 @@ class Front(Protocol):
         """One control period of itself and the cell."""
         ...
 
+    def cause(self, fault: str, arm: str, is_on: bool) -> None:
+        """Begins or ends something that goes wrong; raises DriverError for what it has not."""
+        ...
+
 
 class LoopbackServer:
     """Steps the world in real time and serves its clients between two steps.
@@ -182,6 +186,8 @@ class LoopbackServer:
                 cell.restore(np.array(message["physics"]), setpoints)
             case "break_drive":
                 cell.break_drive(message["joint"], message["kind"])
+            case "cause" if self._front is not None:
+                self._front.cause(message["fault"], message["arm"], message["is_on"])
             case "active_object":
                 pass
             case "stop":

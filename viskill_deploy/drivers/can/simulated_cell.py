@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from viskill_deploy.core.description import CellArm
+from viskill_deploy.core.errors import DriverError
 from viskill_deploy.core.types import ArmState, JointSetpoint
 from viskill_deploy.drivers.can.codec import (
     HEARTBEAT_ID,
@@ -145,6 +146,11 @@ class DriveCell:
             )
         self.cell.advance()
         self._feel(now)
+
+    def cause(self, fault: str, arm: str, is_on: bool) -> None:
+        """Drives are broken one by one, with `break_drive`."""
+        del arm, is_on
+        raise DriverError(f"drives have no fault {fault!r}; break one with break_drive")
 
     def close(self) -> None:
         """Lets go of the buses."""

@@ -7,12 +7,14 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from viskill_deploy.core.types import ArmState
+from viskill_deploy.core.types import ArmState, JointSetpoint
 from viskill_deploy.drivers.crtk.messages import (
     NANO,
     Bool,
     Float,
     Header,
+    JointState,
+    Joy,
     OperatingState,
     String,
     StringStamped,
@@ -71,6 +73,8 @@ class ArmOnWire:
         is_silent: nothing periodic is published; for tests.
         is_invalid: periodic data is marked as invalid; for tests.
         spoil: changes a periodic message before it is published; for tests.
+        has_supply: the amplifiers can have power; for tests.
+        intruder: joints (6,) that a second commander asks for all the time; () without one.
     """
 
     def __init__(
@@ -89,6 +93,7 @@ class ArmOnWire:
         self._stamp_ns = 0
         self._due_s = self._repeat_due_s = 0.0
         self.is_silent = self.is_invalid = False
+        self.has_supply, self.intruder = True, tuple[float, ...]()
         self.spoil: Callable[[str, Any], Any] = lambda _, message: message
         self._open()
 
@@ -115,6 +120,19 @@ class ArmOnWire:
         """Acts on what has been heard, in its order, and says what comes of it."""
         while self._inbox:
             self._act(*self._inbox.popleft())
+
+    def tick(self, dt_s: float, measured: ArmState, has_supply: bool) -> JointSetpoint:
+        """A moment passes for the arm; what its drives hold it at."""
+        self.poll()
+        if self.intruder:
+            self.arm.servo_jp(JointState(position=self.intruder))
+        return self.arm.tick(dt_s, measured, has_supply and self.has_supply)
+
+    def press_clutch(self, is_pressed: bool) -> None:
+        """The button on the arm."""
+        self.arm.clutch(is_pressed)
+        header = Header(Time.of_ns(self._transport.stamp_ns()))
+        self._publish["IO/arm_clutch"](Joy(header, (), (int(is_pressed),)))
 
     def speak(self, state: ArmState, now: float) -> None:
         """Says what the arm has to say, and what is due.

@@ -21,7 +21,7 @@ Fault = Literal[
     "clutch",
     "tool",
 ]
-"""tracking: tracking error, FAULT. power: the amplifiers have no power, and get none, until it ends.
+"""tracking: tracking error, FAULT. power: the amplifiers have no power and get none meanwhile.
 silence: nothing periodic is published. invalid: what is published is marked as invalid. short:
 measured_js has five entries. nan: a measured joint is no number. following: a teleoperation says
 that it commands this arm. second commander: somebody else sends it servo_jp. clutch: the button on

@@ -8,6 +8,10 @@ from viskill_deploy.core.errors import DriverError
 from viskill_deploy.core.types import ArmState, CellState
 from viskill_deploy.drivers.base import ENABLED, PAUSED
 from viskill_deploy.drivers.crtk.arm_on_wire import ArmOnWire
+from viskill_deploy.drivers.crtk.console_on_wire import ConsoleOnWire
+from viskill_deploy.drivers.crtk.faults import cause
+from viskill_deploy.drivers.crtk.kinematics_services import KinematicsServices
+from viskill_deploy.drivers.crtk.scene_on_wire import SceneOnWire
 from viskill_deploy.drivers.crtk.server_options import ServerOptions
 from viskill_deploy.drivers.crtk.simulated_arm import Event, SimulatedArm
 from viskill_deploy.drivers.crtk.transport import Transport
@@ -63,9 +67,14 @@ class CrtkCell:
             if arm.name in options.arms or not options.arms:
                 simulated = SimulatedArm(arm, held, options)
                 self.arms[arm.name] = ArmOnWire(simulated, transport, options, tell)
+                KinematicsServices(arm).serve(transport)
+        simulated_arms = {name: arm.arm for name, arm in self.arms.items()}
+        self._console = ConsoleOnWire(cell, simulated_arms, transport, options)
+        self._scene = SceneOnWire(cell, transport, options.scene_hz)
 
     def poll(self, now: float) -> None:
         """Hears and answers; no time passes."""
+        self._console.poll()
         for arm, state in self._pairs():
             arm.poll()
             arm.speak(state, now)
@@ -73,18 +82,29 @@ class CrtkCell:
     def advance(self, now: float) -> None:
         """One control period of arms and physics, which ends at `now`."""
         self._follow_people(now)
+        self._console.poll()
         has_supply = not self.cell.inputs(now).estop
         period_s = self.cell.world.options.period_s
         for index, state in enumerate(self._known.arms):
             arm = self.arms.get(state.name)
             if arm is not None:
-                arm.poll()
-                self._held[index] = arm.arm.tick(period_s, state, has_supply)
+                self._held[index] = arm.tick(period_s, state, has_supply)
         self.cell.servo_jp(self._held)
         self.cell.advance()
         self._known = self.cell.state(now)
         for arm, state in self._pairs():
             arm.speak(state, now)
+        self._scene.speak(now)
+
+    def cause(self, fault: str, arm: str, is_on: bool) -> None:
+        """Begins or ends a fault of `faults.Fault` on an arm.
+
+        Raises:
+            DriverError: there is no such fault or arm.
+        """
+        if arm not in self.arms:
+            raise DriverError(f"no arm {arm!r} here; there are {', '.join(self.arms)}")
+        cause(self.arms[arm], fault, is_on)
 
     def close(self) -> None:
         """Leaves the transport."""
