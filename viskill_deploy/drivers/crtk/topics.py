@@ -162,4 +162,9 @@ def following(arm: str) -> str:
     return f"/{MASTERS.get(arm, 'MTMR')}_{arm}/following"
 
 
+def followings(arm: str) -> tuple[str, ...]:
+    """The same of every master that could drive an arm."""
+    return tuple(f"/{master}_{arm}/following" for master in sorted(set(MASTERS.values())))
+
+
 MASTERS = {"PSM1": "MTMR", "PSM2": "MTML", "PSM3": "MTMR"}

@@ -1,0 +1,67 @@
+"""Whether a setpoint that an arm holds is one of ours, or another program commands the arm too."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from typing import Final
+
+from viskill_deploy.core.types import Joints, JointSetpoint
+
+UNDERWAY_S: Final = 0.1
+"""How long a setpoint of ours may be on its way and still be what an arm holds."""
+
+TOLERANCE: Joints = (0.005, 0.005, 0.0005, 0.005, 0.005, 0.005, 0.02)
+"""rad, m; the jaw is the last one. As the gate's own rule on it (S24)."""
+
+
+class Sent:
+    """What one arm was sent lately.
+
+    Arms are told where to be at a few hundred hertz and say where they are told to be at a hundred:
+    what they say lies between two that were sent a short time before.
+    """
+
+    def __init__(self) -> None:
+        self._rows: deque[tuple[float, Joints]] = deque()
+
+    @property
+    def last_s(self) -> float:
+        """When the last one went out; -inf when none did."""
+        return self._rows[-1][0] if self._rows else -math.inf
+
+    def forget(self) -> None:
+        """The stream has ended."""
+        self._rows.clear()
+
+    def note(self, setpoint: JointSetpoint, now: float, held: Joints) -> None:
+        """Remembers what goes out, and before the first of a stream what was held until then."""
+        if not self._rows:
+            self._rows.append((now - UNDERWAY_S, held))
+        self._rows.append((now, (*setpoint.jp, setpoint.jaw)))
+        while len(self._rows) > 2 and self._rows[1][0] < now - 3 * UNDERWAY_S:
+            self._rows.popleft()
+
+    def stranger(self, held: Joints, stamp_s: float) -> int | None:
+        """The first joint of which an arm holds a setpoint that is not ours; 6 is the jaw.
+
+        Args:
+            held: what it says that it holds, (7,).
+            stamp_s: when it was so.
+        """
+        rows = list(self._since(stamp_s - UNDERWAY_S))
+        if not rows:
+            return None
+        for joint, (low, high) in enumerate(zip(map(min, *rows), map(max, *rows), strict=True)):
+            if not low - TOLERANCE[joint] <= held[joint] <= high + TOLERANCE[joint]:
+                return joint
+        return None
+
+    def _since(self, start_s: float) -> Iterator[Joints]:
+        """The rows sent since then, and the one that was in force then; at least two."""
+        rows = tuple(self._rows)
+        first = 0
+        while first + 2 < len(rows) and rows[first + 1][0] <= start_s:
+            first += 1
+        return (row for _, row in rows[first:])
