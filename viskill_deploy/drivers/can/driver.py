@@ -11,27 +11,21 @@ import threading
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from viskill_deploy.core import realtime
 from viskill_deploy.core.clock import Clock, MonotonicClock
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DriverError
-from viskill_deploy.core.types import (
-    PSM_JOINTS,
-    ActiveObject,
-    ArmState,
-    CellState,
-    JointSetpoint,
-    Scene,
-)
-from viskill_deploy.drivers.base import DISABLED, ENABLED, Capabilities, Driver, accepted
+from viskill_deploy.core.types import ActiveObject, CellState, JointSetpoint, Scene
+from viskill_deploy.drivers.base import Capabilities, Driver, accepted
 from viskill_deploy.drivers.can.axis import Axis
 from viskill_deploy.drivers.can.codec import Control, Drive
+from viskill_deploy.drivers.can.company import Company
 from viskill_deploy.drivers.can.config import CanFile
 from viskill_deploy.drivers.can.coupling import Gearing
 from viskill_deploy.drivers.can.inputs import InputNode
 from viskill_deploy.drivers.can.line import CanLine
 from viskill_deploy.drivers.can.load import check_load
 from viskill_deploy.drivers.can.master import BusMaster
+from viskill_deploy.drivers.can.measured import Measured, standing
 from viskill_deploy.drivers.can.watch import DriveWatch
 from viskill_deploy.safety.checked import CheckedSetpoint
 
@@ -48,9 +42,6 @@ STEPS = (
 LISTEN_S = 0.0005
 COMPANY = 1.5
 """Periods without a cycle of the runtime after which a driver at rest sends one by itself."""
-
-SMOOTHING = 0.5
-"""Part of a new speed that counts: a difference of two positions jumps by the encoder's counts."""
 
 
 class CanDriver:
@@ -85,17 +76,17 @@ class CanDriver:
         self.load = {
             bus.arm: check_load(bus.arm, file.traffic(bus, self.period_s)) for bus in file.bus
         }
-        self._cell, self._file, self._source = cell, file, source
+        self._file, self._source = file, source
+        self._measured = Measured(cell, self.period_s)
         self._gearings = [
             Gearing(arm.arm, bus) for arm, bus in zip(cell.arms, file.bus, strict=True)
         ]
         self.masters: list[BusMaster] = []
         self._drive_watch = DriveWatch(self._all_axes)
         self._lock = threading.RLock()
-        self._company: threading.Thread | None = None
+        self._company: Company | None = None
         self._is_enabled = self._is_homed = False
         self._held: list[JointSetpoint] = []
-        self._last: list[tuple[float, list[float], list[float]]] = []  # stamp, joints, speeds
         self._sync_s, self._trouble = -1.0, ""
         self.cycles = self.late = self.exchanges = 0
 
@@ -129,7 +120,8 @@ class CanDriver:
         except DriverError:
             self._let_go()
             raise
-        self._keep_company()
+        if not self.capabilities.stepped:
+            self._company = Company(self._accompany, self.clock, self.period_s)
 
     def enable(self) -> None:
         """Switches every drive on, one controlword after the other, where it is.
@@ -144,7 +136,7 @@ class CanDriver:
                 self._stay()
                 self._command(control)
                 self._until(partial(self._all_in, state), state)
-            self._held = self._measured_setpoints()
+            self._held = standing(self.masters)
             self._is_enabled = True
 
     def home(self) -> None:
@@ -190,10 +182,10 @@ class CanDriver:
             self._listen()
             self._look()
             now = self.clock.now()
-            self._update()
+            self._measured.update(self.masters)
             if not self._is_enabled:
-                self._held = self._measured_setpoints()
-            arms = tuple([self._arm_state(index) for index in range(len(self.masters))])
+                self._held = standing(self.masters)
+            arms = self._measured.arms(self._held, self._is_enabled, self._is_homed)
             return CellState(arms, self._drive_watch.told(self._input.inputs(now), now))
 
     def servo_jp(self, setpoints: Sequence[CheckedSetpoint]) -> None:
@@ -353,71 +345,27 @@ class CanDriver:
         for master in self.masters:
             master.restart(now)
 
-    def _measured_setpoints(self) -> list[JointSetpoint]:
-        rows = [master.joints() for master in self.masters]
-        return [JointSetpoint(tuple(q[:6]), (0.0,) * 6, q[6], 0.0) for q in rows]
-
-    def _update(self) -> None:
-        """Speeds from positions, where new ones have come."""
-        if not self._last:
-            self._last = [(m.stamp_s, m.joints(), [0.0] * 7) for m in self.masters]
-        for index, master in enumerate(self.masters):
-            stamp, old, speeds = self._last[index]
-            if master.stamp_s > stamp:
-                new, dt = master.joints(), max(master.stamp_s - stamp, self.period_s / 2)
-                pairs = zip(new, old, speeds, strict=True)
-                speeds = [v + SMOOTHING * ((b - a) / dt - v) for b, a, v in pairs]
-                self._last[index] = (master.stamp_s, new, speeds)
-
-    def _arm_state(self, index: int) -> ArmState:
-        arm, held = self._cell.arms[index], self._held[index]
-        stamp, q, v = self._last[index]
-        return ArmState(
-            name=arm.name,
-            stamp_s=stamp,
-            valid=True,
-            operating_state=ENABLED if self._is_enabled else DISABLED,
-            is_homed=self._is_homed,
-            is_busy=False,
-            measured_jp=tuple(q[:6]),
-            measured_jv=tuple(v[:6]),
-            jaw_measured_jp=q[6],
-            jaw_measured_jv=v[6],
-            setpoint_jp=held.jp,
-            jaw_setpoint_jp=held.jaw,
-            joint_names=PSM_JOINTS,
-            tool=arm.arm.tool,
-        )
-
-    def _keep_company(self) -> None:
-        """Starts what sends cycles while arms are at rest and the runtime thinks."""
-        if not self.capabilities.stepped:
-            self._company = threading.Thread(target=self._accompany, daemon=True)
-            self._company.start()
-
     def _accompany(self) -> None:
-        realtime.first_in_line()
-        while self.masters:
-            self.clock.sleep_until(self.clock.now() + self.period_s)
-            if self._drive_watch.is_moving:
-                continue
-            with self._lock:
-                is_late = self.clock.now() - self._sync_s > COMPANY * self.period_s
-                if self.masters and is_late and not self._drive_watch.is_moving:
-                    try:
-                        self.keep()
-                    except DriverError as error:
-                        self._trouble = self._trouble or str(error)
+        """A cycle in the runtime's place, if it is late and the arms are at rest."""
+        if self._drive_watch.is_moving:
+            return
+        with self._lock:
+            is_late = self.clock.now() - self._sync_s > COMPANY * self.period_s
+            if is_late and not self._drive_watch.is_moving:
+                try:
+                    self.keep()
+                except DriverError as error:
+                    self._trouble = self._trouble or str(error)
 
     def _let_go(self) -> None:
+        if self._company is not None:
+            self._company.close()
+            self._company = None
         with self._lock:
             masters, self.masters = self.masters, []
             for master in masters:
                 master.line.close()
             self._is_enabled = self._is_homed = False
-        if self._company is not None:
-            self._company.join()
-            self._company = None
 
 
 def connect(cell: CellDescription, file: CanFile) -> Driver:

@@ -101,7 +101,7 @@ class SimulatedCan(CanDriver):
             for _ in range(RESTART_PERIODS):
                 self._pass_period()
             self._restart()
-            self._last = []
+            self._measured.forget()
         if was_enabled:
             self.enable()
 
