@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Protocol
 
 from viskill_deploy.core.clock import Clock, SteppedClock
@@ -116,7 +115,7 @@ class LoopbackDriver:
     def state(self) -> CellState:
         """The newest measurement."""
         state = self.cell.state(self._time.world_s)
-        return replace(state, inputs=self.watch.told(state.inputs, self.clock.now()))
+        return CellState(state.arms, self.watch.told(state.inputs, self.clock.now()))
 
     def servo_jp(self, setpoints: Sequence[CheckedSetpoint]) -> None:
         """Sends one checked setpoint an arm."""

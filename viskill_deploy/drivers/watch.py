@@ -62,7 +62,9 @@ class OwnTime:
 
     def told(self, inputs: Inputs, now: float) -> Inputs:
         """Says that all is well."""
-        return replace(inputs, watchdog_stamp_s=now, watchdog_stepped_in=False)
+        i = inputs  # not `replace`, which costs more than all else in this call
+        said = (i.consent, i.consent_stamp_s, i.consent_source, i.estop)
+        return Inputs(*said, now, False, i.consent_is_streamed, i.consent_alive_s)
 
     def close(self) -> None:
         """Nothing to end."""

@@ -70,8 +70,17 @@ class Arm:
         Raises:
             KinematicsError: not six finite numbers.
         """
+        return pin.SE3(self._placed(q))
+
+    def pose(self, q: npt.ArrayLike) -> FloatArray:
+        """`forward` as a new array, (4, 4). Raises as it does."""
+        T: FloatArray = self._placed(q).homogeneous
+        return T
+
+    def _placed(self, q: npt.ArrayLike) -> pin.SE3:
+        """The tip's pose in the workspace: it changes with the next call."""
         pin.forwardKinematics(self.model, self._data, _joints(q))
-        return pin.SE3(pin.updateFramePlacement(self.model, self._data, self._tip))
+        return pin.updateFramePlacement(self.model, self._data, self._tip)
 
     def joint_frame(self, q: npt.ArrayLike, joint: int) -> pin.SE3:
         """Frame of one joint in the base frame.
@@ -187,7 +196,7 @@ def _joints(q: Any) -> FloatArray:
     joints = np.asarray(q, dtype=np.float64)
     if joints.shape != (6,):
         raise KinematicsError(f"joints have shape {joints.shape}; give six numbers")
-    if not math.isfinite(sum(joints.tolist())):
+    if not math.isfinite(sum(q if q.__class__ is tuple else joints.tolist())):
         raise IkError("not-finite", f"joints {joints.tolist()} are not all finite; check them")
     return joints
 

@@ -36,7 +36,7 @@ class CellLinks:
     def tips(self, joints: Sequence[Sequence[float]]) -> list[FloatArray]:
         """T_task_tip of every arm for its reported joints (6,), (4, 4) each."""
         return [
-            T @ arm.forward(self._true(index, q)).homogeneous
+            T.dot(arm.pose(self._true(index, q)))
             for index, (T, arm, q) in enumerate(
                 zip(self._T_task_base, self.arms, joints, strict=True)
             )

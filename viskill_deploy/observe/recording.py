@@ -177,9 +177,11 @@ class Recorder:
         goal = np.eye(4)
         goal[:3, 3] = scene.goal
         things = [(thing.name, thing.T_task_object) for thing in scene.objects]
+        written = []
         for name, pose in (*things, ("goal", goal)):
-            payload = frames.POSE.pack(scene.stamp_s, pose.tobytes())
-            self._send(Kind.POSE, payload + name.encode())
+            payload = frames.POSE.pack(scene.stamp_s, pose.tobytes()) + name.encode()
+            written += [HEADER.pack(Kind.POSE, len(payload)), payload]
+        self._write(b"".join(written))
 
     def mark(
         self,

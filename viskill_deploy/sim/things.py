@@ -184,10 +184,11 @@ class Things:
 
 
 def _pose(position: FloatArray, quaternion: FloatArray) -> FloatArray:
-    rotation, pose = np.empty(9), np.eye(4)
+    rotation = np.empty(9)
     mujoco.mju_quat2Mat(rotation, quaternion)
-    pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), position
-    return pose
+    a, b, c, d, e, f, g, h, i = rotation.tolist()
+    x, y, z = position.tolist()
+    return np.array([[a, b, c, x], [d, e, f, y], [g, h, i, z], [0.0, 0.0, 0.0, 1.0]])
 
 
 def colour(model: mujoco.MjModel, active: str, goal: npt.ArrayLike) -> None:

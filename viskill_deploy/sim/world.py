@@ -215,10 +215,10 @@ class World:
     def measured(self, arm: int) -> ArmReading:
         """What the arm's sensors say, with noise where the options ask for it."""
         index = self._arms[arm]
-        q, v = self.data.qpos[index.qpos], self.data.qvel[index.qvel]
+        q, v = self.data.qpos[index.qpos], self.data.qvel[index.qvel].tolist()
         q[6] += q[7]
-        *jp, jaw = self.imperfections.measured(arm, q[:AXES]).tolist()
-        return ArmReading(tuple(jp), tuple(v[:6].tolist()), jaw, float(v[6] + v[7]))
+        axes = self.imperfections.measured(arm, q[:AXES]).tolist()
+        return ArmReading(tuple(axes[:6]), tuple(v[:6]), axes[6], v[6] + v[7])
 
     def tips(self) -> FloatArray:
         """Where the tips really are now, task frame, (arms, 3) m."""
