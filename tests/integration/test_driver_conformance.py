@@ -13,6 +13,7 @@ from viskill_deploy.core.types import PSM_JOINTS, Action, CellState, JointSetpoi
 from viskill_deploy.drivers import loopback, loopback_served
 from viskill_deploy.drivers.base import DISABLED, ENABLED, Driver
 from viskill_deploy.drivers.can import simulated as can
+from viskill_deploy.drivers.crtk import simulated as crtk
 from viskill_deploy.safety.checked import CheckedSetpoint
 from viskill_deploy.safety.supervisor import Supervisor
 from viskill_deploy.sim.tasks.base import load_task
@@ -22,6 +23,7 @@ CELL = load_cell("bipegtransfer")
 DRIVERS: dict[str, Callable[[], Driver]] = {
     "loopback": lambda: loopback.connect(CELL),
     "CAN, stepped": lambda: can.connect(CELL),
+    "CRTK, stepped": lambda: crtk.connect(CELL),
     "CAN, served": lambda: can.connect_served(CELL, WorldOptions(period_s=0.01)),
     "served loopback": lambda: loopback_served.connect(CELL, WorldOptions(period_s=0.01)),
 }
@@ -159,6 +161,7 @@ def test_the_operator_and_the_emergency_stop_are_inputs(driver: Driver) -> None:
     state = await_state(driver, lambda s: s.inputs.consent)
     assert state.inputs.consent_source == "simulated"
     assert not state.inputs.estop
+    driver.enable()  # some arms miss their power only when they have it
     driver.say(estop=True)
     await_state(driver, lambda s: s.inputs.estop)
 

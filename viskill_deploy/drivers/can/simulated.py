@@ -5,12 +5,10 @@ from __future__ import annotations
 import ipaddress
 import itertools
 import os
-from typing import Protocol
 
-from viskill_deploy.core.clock import Clock
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DriverError
-from viskill_deploy.core.types import ActiveObject, CellState, FloatArray, JointSetpoint, Scene
+from viskill_deploy.core.types import FloatArray, JointSetpoint, Scene
 from viskill_deploy.drivers.base import Capabilities, Driver
 from viskill_deploy.drivers.can.config import CanFile, load_can
 from viskill_deploy.drivers.can.driver import CanDriver
@@ -18,10 +16,8 @@ from viskill_deploy.drivers.can.simulated_cell import DriveCell
 from viskill_deploy.drivers.loopback import WorldClock
 from viskill_deploy.drivers.loopback_cell import LoopbackCell
 from viskill_deploy.drivers.loopback_served import ServedLoopback
+from viskill_deploy.drivers.sides import SIMULATED, Side, SteppedSide, WithSide
 from viskill_deploy.sim.world import World, WorldOptions
-
-SIMULATED = "simulated"
-"""Source of the consent that a simulated operator gives over the simulated input node."""
 
 SERVER = "viskill_deploy.drivers.can.server"
 
@@ -32,39 +28,7 @@ MOST_BUSES = 16
 _numbers = itertools.count()
 
 
-class Side(Protocol):
-    """What a simulated cell does that no robot can be told over CAN."""
-
-    def say(self, consent: bool | None = None, estop: bool | None = None) -> None:
-        """What the simulated operator does."""
-        ...
-
-    def scene(self) -> Scene | None:
-        """Where the objects are."""
-        ...
-
-    def break_drive(self, joint: str, kind: str) -> None:
-        """Breaks a joint's drive, or mends all."""
-        ...
-
-    def active_object(self) -> ActiveObject:
-        """The truth about the active object."""
-        ...
-
-    def reset(self, layout: Scene) -> None:
-        """Puts arms and objects in place."""
-        ...
-
-    def truth(self) -> CellState:
-        """Where the arms really are, as one sees who looks at them."""
-        ...
-
-    def close(self) -> None:
-        """Ends the simulation."""
-        ...
-
-
-class SimulatedCan(CanDriver):
+class SimulatedCan(WithSide, CanDriver):
     """The CAN driver of a simulated cell; everything but `side` goes over the buses."""
 
     def __init__(
@@ -72,24 +36,6 @@ class SimulatedCan(CanDriver):
     ) -> None:
         super().__init__(cell, file, SIMULATED, period_s)
         self.side = side
-
-    def say(self, consent: bool | None = None, estop: bool | None = None) -> None:
-        """What the simulated operator does; the input node says it."""
-        self._connected()
-        self.side.say(consent, estop)
-
-    def scene(self) -> Scene | None:
-        """The objects as the simulator knows them."""
-        self._connected()
-        return self.side.scene()
-
-    def break_drive(self, joint: str, kind: str) -> None:
-        """A joint's drive breaks."""
-        self.side.break_drive(joint, kind)
-
-    def active_object(self) -> ActiveObject:
-        """The truth about the active object, for judging success."""
-        return self.side.active_object()
 
     def reset(self, layout: Scene) -> None:
         """Puts objects where `layout` says and the arms, without power meanwhile, at home."""
@@ -113,44 +59,6 @@ class SimulatedCan(CanDriver):
 
 RESTART_PERIODS = 10
 """Cycles in which drives and input node are heard again after the simulation stood still."""
-
-
-class _SteppedSide:
-    """The simulated cell in this process."""
-
-    def __init__(self, front: DriveCell, now: Clock) -> None:
-        self._front, self._clock = front, now
-        self._is_open = True
-
-    def say(self, consent: bool | None = None, estop: bool | None = None) -> None:
-        """What the simulated operator does."""
-        self._front.cell.say(consent, estop)
-
-    def scene(self) -> Scene:
-        """The objects as the simulator knows them."""
-        return self._front.cell.scene(self._clock.now())
-
-    def break_drive(self, joint: str, kind: str) -> None:
-        """A joint's drive breaks."""
-        self._front.cell.break_drive(joint, kind)
-
-    def active_object(self) -> ActiveObject:
-        """The truth about the active object."""
-        return self._front.cell.world.active_object()
-
-    def reset(self, layout: Scene) -> None:
-        """Puts objects and arms in place."""
-        self._front.cell.reset(layout)
-
-    def truth(self) -> CellState:
-        """Where the arms really are."""
-        return self._front.cell.state(self._clock.now())
-
-    def close(self) -> None:
-        """Lets go of the drives' ends of the buses."""
-        if self._is_open:
-            self._front.close()
-        self._is_open = False
 
 
 class SteppedCan(SimulatedCan):
@@ -181,7 +89,7 @@ class SteppedCan(SimulatedCan):
         self._time = WorldClock(self)
         file, wiring = _private(file, number), _private(wiring or file, number)
         self.front = DriveCell(LoopbackCell(self.world), wiring)
-        side = _SteppedSide(self.front, self._time)
+        side = SteppedSide(self.front.cell, self._time, self.front.close)
         super().__init__(cell, file, side, self.world.options.period_s)
         self.clock = self._time
         self._seen = 0

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import pytest
-from crtk_peer import PLACE, Room, stamped
+from scripted_arms import PLACE, Room, stamped
 
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import DriverError

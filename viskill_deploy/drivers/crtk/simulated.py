@@ -1,0 +1,113 @@
+"""The CRTK driver on simulated dVRK arms: stepped in this process, or in one of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.types import FloatArray, JointSetpoint, Scene
+from viskill_deploy.drivers.base import Capabilities, Driver
+from viskill_deploy.drivers.crtk.driver import CrtkDriver, CrtkOptions
+from viskill_deploy.drivers.crtk.inproc import Exchange, Inproc
+from viskill_deploy.drivers.crtk.simulated_cell import CrtkCell, ServerOptions
+from viskill_deploy.drivers.crtk.transport import Transport
+from viskill_deploy.drivers.loopback import WorldClock
+from viskill_deploy.drivers.loopback_cell import LoopbackCell
+from viskill_deploy.drivers.sides import SIMULATED, Side, SteppedSide, WithSide
+from viskill_deploy.drivers.watch import OwnTime, Watch
+from viskill_deploy.sim.world import World, WorldOptions
+
+PERIOD_S = 0.005
+"""200 Hz; dVRK's own loop is faster, its feedback is not."""
+
+ARRIVAL_S = 1.0
+"""How long the arms' word on where they were put may take."""
+
+
+class SimulatedCrtk(WithSide, CrtkDriver):
+    """The CRTK driver of a simulated cell; everything but `side` goes over the transport."""
+
+    def __init__(
+        self,
+        cell: CellDescription,
+        transport: Transport,
+        period_s: float,
+        side: Side,
+        start_watch: Callable[[], Watch],
+    ) -> None:
+        options = CrtkOptions(period_s=period_s, source=SIMULATED)
+        super().__init__(cell, transport, options, start_watch)
+        self.side = side
+
+    def reset(self, layout: Scene) -> None:
+        """Puts objects where `layout` says and the arms at home; power and states stay.
+
+        Who does that has looked at the arms: a fault is over.
+        """
+        self._connected()
+        if self._doubts.fault:
+            self.recover()
+        self._doubts.end_stream()
+        self.side.reset(layout)
+        began = self.clock.now() + self.period_s
+        self._until(lambda: all(arm.stamp_s > began for arm in self.arms), ARRIVAL_S, self._unheard)
+
+    def close(self) -> None:
+        """Holds, disables, and ends the simulation."""
+        super().close()
+        self.side.close()
+
+
+class SteppedCrtk(SimulatedCrtk):
+    """dVRK arms in this process; time moves only when the clock is slept on.
+
+    Args:
+        cell: the cell as the runtime believes it to be.
+        options: period, noise, delay and what else is not perfect.
+        seed: of noise, offsets and losses.
+        server: how the simulated dVRK behaves.
+
+    Attributes:
+        front: the arms on the wire.
+        exchange: the network between them and the driver.
+    """
+
+    capabilities = Capabilities(simulated=True, stepped=True, resettable=True, sees_scene=True)
+
+    def __init__(
+        self,
+        cell: CellDescription,
+        options: WorldOptions | None = None,
+        seed: int = 0,
+        server: ServerOptions | None = None,
+    ) -> None:
+        options = options or WorldOptions(period_s=PERIOD_S)
+        self.world = World(cell.filed or cell, options, seed)  # no calibration moves a real arm
+        self.period_s = options.period_s
+        self._time = WorldClock(self)
+        self.exchange = Exchange(self._time)
+        loopback = LoopbackCell(self.world)
+        arms = server or ServerOptions(homing="stay")
+        self.front = CrtkCell(loopback, Inproc(self.exchange), arms)
+        side = SteppedSide(loopback, self._time, self.front.close)
+        super().__init__(cell, Inproc(self.exchange), options.period_s, side, OwnTime)
+        self.clock = self._time
+
+    def advance(self) -> None:
+        """One control period of arms and physics."""
+        self.front.advance(self._time.world_s)
+
+    def lateness_s(self) -> float:
+        """How late the control loop wakes this time."""
+        return self.world.imperfections.lateness_s()
+
+    def restore(self, physics: FloatArray, setpoints: list[JointSetpoint]) -> None:
+        """Goes to a saved moment of the scene that `reset` has set up, at rest."""
+        self.front.cell.restore(physics, setpoints)
+
+
+def connect(cell: CellDescription, options: WorldOptions | None = None, seed: int = 0) -> Driver:
+    """Connected dVRK arms, stepped in this process."""
+    driver = SteppedCrtk(cell, options, seed)
+    driver.connect()
+    return driver
