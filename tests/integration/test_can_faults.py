@@ -163,7 +163,7 @@ def test_when_targets_alone_stop_the_drives_stop(driver: SteppedCan) -> None:
     for _ in range(round(FILE.watchdog_s / PERIOD) + 2):
         for master in driver.masters:
             for axis in master.axes:
-                axis._unanswered += 1  # an answer is due
+                axis.unanswered += 1  # an answer is due
             master.line.send(0x080, b"")
         let_pass(driver, PERIOD)
     with pytest.raises(DriverError, match=r"0x8250 .*lost our target"):

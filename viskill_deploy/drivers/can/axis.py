@@ -50,6 +50,7 @@ class Axis:
         reading: what it said last; None before it said anything.
         stamp_s: when.
         trouble: the first thing that is wrong with it; "" when all is well.
+        unanswered: SYNCs since its last answer, the one under way included.
         has_lost_us: it has stopped because it did not hear us.
         spoilt: frames in its name that were none of its language.
     """
@@ -59,15 +60,15 @@ class Axis:
         self.control, self.target = int(Control.DISABLE_VOLTAGE), 0
         self.reading: Reading | None = None
         self.stamp_s, self.trouble, self.has_lost_us, self.spoilt = -math.inf, "", False, 0
-        self._heard_s, self._unanswered = -math.inf, 0
+        self._heard_s, self.unanswered = -math.inf, 0
 
     def restart(self, now: float) -> None:
         """Forgets what was wrong; from now on it is watched."""
-        self.trouble, self.has_lost_us, self._heard_s, self._unanswered = "", False, now, 0
+        self.trouble, self.has_lost_us, self._heard_s, self.unanswered = "", False, now, 0
 
     def command(self) -> bytes:
         """What it is told in this cycle, which it has to answer at the next SYNC."""
-        self._unanswered += 1
+        self.unanswered += 1
         return self.codec.command(self.control, self.target)
 
     def hear_feedback(self, data: bytes, now: float) -> None:
@@ -77,9 +78,9 @@ class Axis:
             self.spoilt += 1
             return
         self.reading, self.stamp_s = reading, now
-        if self._unanswered == 0:
+        if self.unanswered == 0:
             self._say("has answered one SYNC twice: two drives have one node id")
-        self._unanswered = max(self._unanswered - 1, 0)
+        self.unanswered = max(self.unanswered - 1, 0)
 
     def hear_emergency(self, data: bytes) -> None:
         """Its emergency object."""
@@ -112,8 +113,8 @@ class Axis:
         """Finds what it does not say: silence, or that it has left operation."""
         if now - self._heard_s > LOST_HEARTBEATS * self._heartbeat_s + 1e-9:
             self._say(f"has lost its heartbeat for {now - self._heard_s:.3f} s")
-        if self._unanswered > MOST_UNANSWERED:
-            self._say(f"has not answered {self._unanswered} SYNCs")
+        if self.unanswered > MOST_UNANSWERED:
+            self._say(f"has not answered {self.unanswered} SYNCs")
         state = self.reading.state if self.reading else None
         if state in {Drive.FAULT, Drive.FAULT_REACTION_ACTIVE}:
             self._say("is in fault")

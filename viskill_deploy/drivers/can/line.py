@@ -26,6 +26,14 @@ Frame = tuple[int, bytes]
 """Identifier and data."""
 
 
+class _Message(can.Message):
+    """A frame that the `virtual` bus copies at a tenth of the cost."""
+
+    def __deepcopy__(self, memo: dict[int, Any] | None) -> can.Message:
+        del memo  # nothing in a frame refers to anything else
+        return can.Message.__copy__(self)
+
+
 class CanLine:
     """A bus.
 
@@ -68,7 +76,7 @@ class CanLine:
             DriverError: the bus does not take it.
         """
         is_fast = cyclic and self._is_fd
-        message = can.Message(
+        message = _Message(
             arbitration_id=identifier,
             data=data,
             is_extended_id=False,

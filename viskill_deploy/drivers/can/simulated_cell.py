@@ -21,7 +21,7 @@ from viskill_deploy.drivers.can.simulated_drive import OPERATIONAL, POWERED, Sim
 from viskill_deploy.drivers.loopback_cell import LoopbackCell
 
 
-class _ArmOfDrives:
+class ArmOfDrives:
     """One arm's drives on their bus.
 
     Args:
@@ -31,7 +31,7 @@ class _ArmOfDrives:
     """
 
     def __init__(self, arm: CellArm, bus: Bus, line: CanLine) -> None:
-        self.line, self._gearing = line, Gearing(arm.arm, bus)
+        self.line, self.gearing = line, Gearing(arm.arm, bus)
         self.drives = [SimulatedDrive(axis.node_id) for axis in bus.axis]
         self._scales = [axis.sign * axis.scale for axis in bus.axis]
 
@@ -78,14 +78,14 @@ class _ArmOfDrives:
 
     def demand(self) -> JointSetpoint:
         """Where the drives drive the joints."""
-        q = self._gearing.joints_of_counts([drive.demand for drive in self.drives])
+        q = self.gearing.joints_of_counts([drive.demand for drive in self.drives])
         pairs = zip(self.drives, self._scales, strict=True)
-        v = self._gearing.joints([drive.speed / scale for drive, scale in pairs])
+        v = self.gearing.joints([drive.speed / scale for drive, scale in pairs])
         return JointSetpoint(tuple(q[:6]), tuple(v[:6]), q[6], v[6])
 
     def feel(self, arm: ArmState) -> None:
         """The encoders read where the arm is."""
-        counts = self._gearing.counts((*arm.measured_jp, arm.jaw_measured_jp))
+        counts = self.gearing.counts((*arm.measured_jp, arm.jaw_measured_jp))
         for drive, count in zip(self.drives, counts, strict=True):
             drive.actual = count
 
@@ -110,7 +110,7 @@ class DriveCell:
             for bus in file.bus
         ]
         rows = zip(world.cell.arms, file.bus, self._lines, strict=True)
-        self.arms = [_ArmOfDrives(arm, bus, line) for arm, bus, line in rows]
+        self.arms = [ArmOfDrives(arm, bus, line) for arm, bus, line in rows]
         self._held = [arm.demand() for arm in self.arms]
         self._word_due_s = self._beat_due_s = 0.0
         self._words, self.input_is_mute = 0, False
