@@ -56,3 +56,8 @@ class SteppedClock:
 def wall_time() -> float:
     """Unix time in seconds, for file names and records only, never for control."""
     return time.time()
+
+
+def wall_ns() -> int:
+    """Unix time in nanoseconds, for stamps that other computers read, never for control."""
+    return time.time_ns()

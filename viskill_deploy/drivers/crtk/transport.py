@@ -5,6 +5,7 @@ A transport is thin: it moves the values of `messages` and knows nothing of arms
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Any, Literal, Protocol, TypeVar
 
@@ -13,6 +14,22 @@ Q = TypeVar("Q")
 R = TypeVar("R")
 
 TransportName = Literal["inproc", "ros1", "ros2", "dds"]
+
+LOG = logging.getLogger(__name__)
+
+EVENTS_KEPT = 100
+"""How many latched words dVRK's bridge keeps for who is slow; over ROS 2, also for who is late."""
+
+
+def hand_over(topic: str, sample: Any, decode: Any, hear: Any, now_s: float) -> None:
+    """Lets an ear hear one sample. One that cannot be read, or an ear that raises, is logged.
+
+    The thread that listens must live: without it every topic would be deaf.
+    """
+    try:
+        hear(decode(sample), now_s)
+    except Exception:
+        LOG.exception("%s: what came was dropped", topic)
 
 
 class Transport(Protocol):

@@ -1,0 +1,88 @@
+"""What only plain DDS does: domains, interfaces, and what it cannot do."""
+
+import socket
+import threading
+from pathlib import Path
+
+import pytest
+from crtk_peer import strays
+from test_transports import DOMAIN, Ear
+
+from viskill_deploy.core.errors import DriverError
+from viskill_deploy.drivers.crtk.loopback_only import confine
+from viskill_deploy.drivers.crtk.messages import Bool
+from viskill_deploy.drivers.crtk.opening import LOOPBACK, Network, open_transport
+
+
+def handles() -> int:
+    """How many files and sockets this process has open."""
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+def test_services_are_refused() -> None:
+    node = open_transport("dds", Network(DOMAIN, LOOPBACK))
+    assert not node.has_services
+    with pytest.raises(DriverError, match="ros2"):
+        node.serve("/PSM1/inverse_kinematics", Bool, Bool, lambda request: request)
+    node.close()
+
+
+def test_a_domain_is_on_one_interface_at_a_time() -> None:
+    node = open_transport("dds", Network(DOMAIN, LOOPBACK))
+    with pytest.raises(DriverError, match=r"on 127\.0\.0\.1 already"):
+        open_transport("dds", Network(DOMAIN, "127.0.0.2"))
+    with pytest.raises(DriverError, match="before one on any"):
+        open_transport("dds", Network(DOMAIN))
+    node.close()
+
+
+def test_an_interface_that_is_not_there_is_an_error() -> None:
+    with pytest.raises(DriverError, match=r"203\.0\.113\.7 does not open"):
+        open_transport("dds", Network(DOMAIN + 1, "203.0.113.7"))
+
+
+def test_the_environment_says_the_domain(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "17")
+    assert Network().domain_id() == 17
+    assert Network(3).domain_id() == 3
+    for wrong in ("233", "-1", "x", "1.5"):
+        monkeypatch.setenv("ROS_DOMAIN_ID", wrong)
+        with pytest.raises(DriverError, match="correct it"):
+            Network().domain_id()
+    monkeypatch.delenv("ROS_DOMAIN_ID")
+    assert Network().domain_id() == 0
+
+
+def test_two_domains_do_not_hear_each_other() -> None:
+    here, there = (open_transport("dds", Network(DOMAIN + i, LOOPBACK)) for i in (2, 3))
+    publish, near, far = here.publisher("/PSM1/goal_reached", Bool), Ear(), Ear()
+    here.subscribe("/PSM1/goal_reached", Bool, near)
+    there.subscribe("/PSM1/goal_reached", Bool, far)
+    publish(Bool(True))
+    near.wait_for(1)
+    assert far.words == []
+    assert there.peers("/PSM1/goal_reached") == 0
+    here.close()
+    there.close()
+
+
+def test_a_closed_node_leaves_no_thread_and_no_socket_behind() -> None:
+    threads, before = threading.active_count(), handles()
+    node = open_transport("dds", Network(DOMAIN + 4, LOOPBACK))
+    assert threading.active_count() == threads + 1
+    assert handles() > before
+    node.close()
+    assert threading.active_count() == threads
+    assert handles() == before
+
+
+def test_stray_sockets_would_be_seen() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind(("0.0.0.0", 0))
+        assert strays() == [f"0.0.0.0:{one.getsockname()[1]}"]
+    assert strays() == []
+
+
+def test_a_domain_without_sockets_cannot_be_kept_to_this_machine() -> None:
+    with pytest.raises(DriverError, match="no socket"):
+        confine(DOMAIN + 5)

@@ -1,0 +1,154 @@
+"""Every transport between two processes, over the real middleware and nothing but the loopback."""
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import crtk_samples
+import pytest
+from crtk_peer import LATCHED, peer, strays
+
+from viskill_deploy.core.errors import DriverError
+from viskill_deploy.drivers.crtk.cdr import encoder
+from viskill_deploy.drivers.crtk.messages import Bool, Header, JointState, String, Time
+from viskill_deploy.drivers.crtk.opening import LOOPBACK, Network, open_transport
+from viskill_deploy.drivers.crtk.transport import Transport
+
+DOMAIN = 40 + os.getpid() % 160
+DISCOVERY_S = 30.0
+
+pytestmark = pytest.mark.parametrize("name", ["dds"])
+
+
+@pytest.fixture
+def node(name: str) -> Iterator[Transport]:
+    """A node of this process."""
+    node = open_transport(name, Network(DOMAIN, LOOPBACK))
+    yield node
+    assert strays() == []
+    node.close()
+
+
+class Ear:
+    """Hears, and can be waited for."""
+
+    def __init__(self) -> None:
+        self.words: list[Any] = []
+        self.times: list[float] = []
+        self._news = threading.Condition()
+
+    def __call__(self, word: Any, received_s: float) -> None:
+        with self._news:
+            self.words.append(word)
+            self.times.append(received_s)
+            self._news.notify_all()
+
+    def wait_for(self, count: int, seconds: float = DISCOVERY_S) -> list[Any]:
+        """All that was heard, at least so many."""
+        with self._news:
+            assert self._news.wait_for(lambda: len(self.words) >= count, seconds), self.words
+            return list(self.words)
+
+
+def wait_until(holds: Callable[[], bool], seconds: float = DISCOVERY_S) -> None:
+    """Waits for what the network decides when to do."""
+    last = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < last
+        time.sleep(0.01)
+
+
+def test_every_message_comes_back_bit_for_bit(node: Transport, name: str) -> None:
+    with peer(name, "echo", DOMAIN):
+        for topic in crtk_samples.TOPICS:
+            there = node.publisher(f"/there/{topic.name}", topic.message)
+            ear, bits = Ear(), encoder(topic.message)
+            node.subscribe(f"/back/{topic.name}", topic.message, ear)
+            wait_until(
+                lambda topic=topic: (
+                    node.peers(f"/there/{topic.name}") == 1
+                    and node.peers(f"/back/{topic.name}") == 1
+                )
+            )
+            for seed in range(5):
+                word = crtk_samples.sample(topic.message, seed)
+                there(word)
+                heard = ear.wait_for(seed + 1)
+                assert bits(heard[seed]) == bits(word)
+
+
+def test_who_comes_late_hears_the_last_of_what_is_latched(node: Transport, name: str) -> None:
+    with peer(name, "latch", DOMAIN):
+        ear = Ear()
+        node.subscribe("/PSM1/status", String, ear, is_latched=True)
+        wait_until(lambda: bool(ear.words) and ear.words[-1] == String(LATCHED[-1]))
+
+
+def test_words_in_quick_succession_are_all_heard_when_they_are_latched(
+    node: Transport, name: str
+) -> None:
+    other = open_transport(name, Network(DOMAIN, LOOPBACK))
+    publish, ear = node.publisher("/PSM1/warning", String, is_latched=True), Ear()
+    other.subscribe("/PSM1/warning", String, ear, is_latched=True)
+    wait_until(lambda: node.peers("/PSM1/warning") == 1)
+    for number in range(50):
+        publish(String(str(number)))
+    assert [word.data for word in ear.wait_for(50)] == [str(number) for number in range(50)]
+    other.close()
+
+
+def test_peers_counts_who_is_there_and_forgets_who_has_left(node: Transport, name: str) -> None:
+    topic = crtk_samples.TOPICS[0]
+    there = f"/there/{topic.name}"
+    node.publisher(there, topic.message)
+    assert node.peers(there) == 0
+    assert node.peers("/never/opened") == 0
+    with peer(name, "echo", DOMAIN):
+        wait_until(lambda: node.peers(there) == 1)
+    wait_until(lambda: node.peers(there) == 0)
+
+
+def test_the_time_of_arrival_is_the_monotonic_clock(node: Transport) -> None:
+    publish, ear = node.publisher("/PSM1/measured_js", JointState), Ear()
+    node.subscribe("/PSM1/measured_js", JointState, ear)
+    before = time.monotonic()
+    publish(JointState(Header(Time.of_ns(node.stamp_ns()))))
+    ear.wait_for(1)
+    assert before <= ear.times[0] <= time.monotonic()
+    assert abs(node.stamp_ns() - time.time_ns()) < 10**9
+
+
+def test_an_ear_that_raises_does_not_deafen_the_others(node: Transport) -> None:
+    def raising(word: Bool, received_s: float) -> None:
+        raise RuntimeError(word, received_s)
+
+    publish, ear = node.publisher("/PSM1/goal_reached", Bool), Ear()
+    node.subscribe("/PSM1/goal_reached", Bool, raising)
+    node.subscribe("/PSM1/goal_reached", Bool, ear)
+    publish(Bool(True))
+    ear.wait_for(1)
+    publish(Bool(False))
+    assert ear.wait_for(2) == [Bool(True), Bool(False)]
+
+
+def test_a_topic_carries_one_kind_of_message(node: Transport) -> None:
+    publish = node.publisher("/PSM1/error", String)
+    with pytest.raises(DriverError, match="/PSM1/error carries String"):
+        publish(Bool())  # type: ignore[arg-type]
+    with pytest.raises(DriverError, match="/PSM1/error carries String"):
+        node.subscribe("/PSM1/error", Bool, Ear())
+
+
+def test_nothing_goes_through_a_closed_node(node: Transport) -> None:
+    publish = node.publisher("/PSM1/error", String)
+    node.close()
+    node.close()
+    assert node.peers("/PSM1/error") == 0
+    with pytest.raises(DriverError, match="closed"):
+        publish(String())
+    with pytest.raises(DriverError, match="closed"):
+        node.publisher("/PSM1/warning", String)
+    with pytest.raises(DriverError, match="closed"):
+        node.subscribe("/PSM1/warning", String, Ear())

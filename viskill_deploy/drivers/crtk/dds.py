@@ -1,0 +1,241 @@
+"""CRTK over plain DDS: what ROS 2 sends, without a ROS installation (CycloneDDS).
+
+Meets nodes of any ROS 2 whose middleware is a DDS. It has no services, and `ros2 node list` does
+not show it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+from weakref import WeakValueDictionary
+
+from cyclonedds.core import (
+    DDSException,
+    GuardCondition,
+    InstanceState,
+    Policy,
+    Qos,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
+)
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from viskill_deploy.core.clock import MonotonicClock, wall_ns
+from viskill_deploy.core.errors import DriverError
+from viskill_deploy.drivers.crtk.cdr import decoder, encoder
+from viskill_deploy.drivers.crtk.dds_types import carrier
+from viskill_deploy.drivers.crtk.loopback_only import confine
+from viskill_deploy.drivers.crtk.transport import EVENTS_KEPT, M, Q, R, TransportName, hand_over
+
+LOCAL = """<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast><Interfaces>
+<NetworkInterface address="{0}" multicast="false"/></Interfaces></General>
+<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
+<Peers><Peer address="{0}"/></Peers></Discovery></Domain></CycloneDDS>"""
+"""One machine only: nothing leaves it, and others on it are found by their port numbers."""
+
+REMOTE = """<CycloneDDS><Domain><General><Interfaces>
+<NetworkInterface address="{0}"/></Interfaces></General></Domain></CycloneDDS>"""
+
+
+@dataclass
+class _Shared:
+    """A domain of this process, which is closed when the last node has left."""
+
+    domain: Any
+    interface: str
+
+
+_SHARED: WeakValueDictionary[int, _Shared] = WeakValueDictionary()
+
+
+@dataclass
+class _Ear:
+    """One subscription."""
+
+    topic: str
+    reader: Any
+    decode: Callable[[bytes], Any]
+    hear: Callable[[Any, float], None]
+
+
+@dataclass
+class _Topics:
+    """What a node has opened, by topic."""
+
+    topics: dict[str, tuple[type[Any], Any]] = field(default_factory=dict)
+    writers: dict[str, list[Any]] = field(default_factory=dict)
+    ears: dict[str, list[_Ear]] = field(default_factory=dict)
+
+
+class Dds:
+    """One node; it is a `Transport`.
+
+    Args:
+        domain: ROS_DOMAIN_ID of the robot.
+        interface: address of this machine to speak on, 127.0.0.1 to stay on it; "" leaves the
+            choice to CycloneDDS and its CYCLONEDDS_URI.
+
+    Raises:
+        DriverError: there is no such interface, or this process is in that domain on another.
+    """
+
+    name: TransportName = "dds"
+    has_services = False
+
+    def __init__(self, domain: int = 0, interface: str = "") -> None:
+        self._clock, self._opened, self._is_open = MonotonicClock(), _Topics(), True
+        try:
+            self._shared: _Shared | None = _shared(domain, interface)
+            self._node = DomainParticipant(domain)
+            self._bell, self._set = GuardCondition(self._node), WaitSet(self._node)
+        except DDSException as error:
+            where = interface or "any interface"
+            raise DriverError(f"DDS domain {domain} on {where} does not open: {error}") from error
+        self._set.attach(self._bell)
+        self._thread = threading.Thread(target=self._listen, name="crtk-dds", daemon=True)
+        self._thread.start()
+        atexit.register(self.close)
+
+    def publisher(
+        self, topic: str, message: type[M], is_latched: bool = False
+    ) -> Callable[[M], None]:
+        """What publishes on a topic; a full buffer is an error at once, never a wait."""
+        writer = DataWriter(self._node, self._topic(topic, message), _qos(is_latched))
+        self._opened.writers.setdefault(topic, []).append(writer)
+        encode, box = encoder(message), writer.data_type
+
+        def publish(word: M) -> None:
+            if not self._is_open:
+                raise DriverError(f"{topic}: this node is closed")
+            if type(word) is not message:
+                raise DriverError(f"{topic} carries {message.__name__}, not {type(word).__name__}")
+            try:
+                writer.write(box(encode(word)))
+            except DDSException as error:
+                raise DriverError(f"{topic} was not sent; is the network up? {error}") from error
+
+        return publish
+
+    def subscribe(
+        self,
+        topic: str,
+        message: type[M],
+        hear: Callable[[M, float], None],
+        is_latched: bool = False,
+    ) -> None:
+        """Calls `hear` from this node's thread for all that comes."""
+        reader = DataReader(self._node, self._topic(topic, message), _qos(is_latched))
+        ear = _Ear(topic, reader, decoder(message), hear)
+        self._opened.ears.setdefault(topic, []).append(ear)
+        self._set.attach(ReadCondition(reader, SampleState.Any | ViewState.Any | InstanceState.Any))
+        self._bell.set(True)
+
+    def serve(
+        self, name: str, request: type[Q], response: type[R], answer: Callable[[Q], R]
+    ) -> None:
+        """Never: each ROS 2 middleware says in its own way which request an answer is for.
+
+        Raises:
+            DriverError: always.
+        """
+        raise DriverError(f"{name}: plain DDS has no services; use the transport ros2 for them")
+
+    def peers(self, topic: str) -> int:
+        """How many others are on the topic, on the side that we are not on."""
+        if not self._is_open:
+            return 0
+        writers, ears = self._opened.writers.get(topic), self._opened.ears.get(topic, [])
+        if writers:
+            return len(writers[0].get_matched_subscriptions()) - len(ears)
+        return len(ears[0].reader.get_matched_publications()) if ears else 0
+
+    def stamp_ns(self) -> int:
+        """The machine's time of day."""
+        return wall_ns()
+
+    def close(self) -> None:
+        """Leaves the domain."""
+        if not self._is_open:
+            return
+        self._is_open = False
+        atexit.unregister(self.close)
+        self._bell.set(True)
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+        for entity in (self._set, self._bell, self._node):
+            entity.__del__()  # its only way out while somebody still holds a publisher
+        self._shared = None
+
+    def _topic(self, name: str, message: type[Any]) -> Any:
+        if not self._is_open:
+            raise DriverError(f"{name}: this node is closed")
+        if name not in self._opened.topics:
+            topic = Topic(self._node, f"rt{name}", carrier(message))
+            self._opened.topics[name] = message, topic
+        carried, topic = self._opened.topics[name]
+        if carried is not message:
+            raise DriverError(f"{name} carries {carried.__name__}, not {message.__name__}")
+        return topic
+
+    def _listen(self) -> None:
+        """The node's thread."""
+        while self._is_open:
+            self._set.wait(duration(seconds=1))
+            self._bell.take()
+            for ears in tuple(self._opened.ears.values()):
+                for ear in ears:
+                    self._take(ear)
+
+    def _take(self, ear: _Ear) -> None:
+        """Hands over what has come, but for what cannot be read."""
+        samples = ear.reader.take(EVENTS_KEPT)
+        now = self._clock.now()
+        for sample in samples:
+            if sample.sample_info.valid_data:
+                hand_over(ear.topic, sample.data, ear.decode, ear.hear, now)
+
+
+def _qos(is_latched: bool) -> Qos:
+    """As dVRK's bridge has it: RELIABLE, the newest only, but for events all that fits."""
+    kept = Policy.History.KeepLast(EVENTS_KEPT if is_latched else 1)
+    lasting = Policy.Durability.TransientLocal if is_latched else Policy.Durability.Volatile
+    return Qos(
+        Policy.Reliability.Reliable(max_blocking_time=0),
+        lasting,
+        kept,
+        Policy.DurabilityService(0, Policy.History.KeepLast(1), -1, -1, -1),
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+    )
+
+
+def _settings(interface: str) -> str:
+    if not interface:
+        return os.environ.get("CYCLONEDDS_URI", "")
+    return (LOCAL if interface.startswith("127.") else REMOTE).format(interface)
+
+
+def _shared(domain: int, interface: str) -> _Shared:
+    """The domain on an interface, shared by the nodes of this process."""
+    known = _SHARED.get(domain)
+    if known is None:
+        opened = Domain(domain, _settings(interface))
+        if interface.startswith("127."):
+            confine(domain)
+        known = _SHARED[domain] = _Shared(opened, interface)
+    if known.interface != interface:
+        raise DriverError(
+            f"this process is in DDS domain {domain} on {known.interface or 'any interface'} "
+            f"already; close that node before one on {interface or 'any'}"
+        )
+    return known

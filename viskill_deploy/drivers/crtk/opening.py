@@ -1,0 +1,72 @@
+"""Opens the transport that a robot speaks, and finds out which that is.
+
+The middleware is imported only here and only when it is asked for: no two fit into one environment
+everywhere.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+from viskill_deploy.core.errors import DriverError, MissingExtraError
+from viskill_deploy.drivers.crtk.transport import Transport
+
+LOOPBACK = "127.0.0.1"
+"""The interface of who must not be reached from outside: simulators and tests."""
+
+
+@dataclass(frozen=True, slots=True)
+class Network:
+    """Where the robot is.
+
+    Attributes:
+        domain: ROS 2 domain; None takes ROS_DOMAIN_ID, or 0.
+        interface: address of this machine to speak on, `LOOPBACK` to stay on it; "" leaves it to
+            the middleware, which finds the robot's network by itself.
+        node: what this node is called; a number follows where names must differ.
+    """
+
+    domain: int | None = None
+    interface: str = ""
+    node: str = "viskill"
+
+    def domain_id(self) -> int:
+        """The domain, or what the environment says.
+
+        Raises:
+            DriverError: ROS_DOMAIN_ID is no domain.
+        """
+        said = os.environ.get("ROS_DOMAIN_ID") or "0" if self.domain is None else str(self.domain)
+        if not said.isascii() or not said.isdigit() or int(said) > LAST_DOMAIN:
+            raise DriverError(f"ROS domain {said!r} is none of 0 to {LAST_DOMAIN}; correct it")
+        return int(said)
+
+
+LAST_DOMAIN = 232
+"""The last whose ports exist."""
+
+
+def open_transport(name: str, network: Network | None = None) -> Transport:
+    """A node on the robot's network.
+
+    Args:
+        name: "dds".
+        network: where.
+
+    Raises:
+        DriverError: there is no such transport, or the network does not open.
+        MissingExtraError: its middleware is not installed.
+    """
+    network = network or Network()
+    if name == "dds":
+        return _dds(network)
+    raise DriverError(f"there is no transport {name!r}; say dds")
+
+
+def _dds(network: Network) -> Transport:
+    try:
+        from viskill_deploy.drivers.crtk.dds import Dds  # noqa: PLC0415 - optional
+    except ImportError as error:
+        raise MissingExtraError("ros", "CRTK over plain DDS") from error
+    return Dds(network.domain_id(), network.interface)
