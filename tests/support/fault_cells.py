@@ -31,7 +31,8 @@ from viskill_deploy.runtime.episodes import run_motion
 from viskill_deploy.runtime.fault_injection import FaultInjector
 from viskill_deploy.runtime.faults import Fault, Injection, Reaction
 from viskill_deploy.runtime.preflight import prepare
-from viskill_deploy.runtime.session import Recorder, Session
+from viskill_deploy.runtime.record import Recorder
+from viskill_deploy.runtime.session import Session
 from viskill_deploy.runtime.thinking import decide
 from viskill_deploy.sim.closed_loop import ClosedLoop
 from viskill_deploy.sim.world import World

@@ -33,7 +33,8 @@ from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.runtime.line import Line
-from viskill_deploy.runtime.session import Recorder, Session
+from viskill_deploy.runtime.record import Recorder
+from viskill_deploy.runtime.session import Session
 from viskill_deploy.sim.tasks.base import load_task
 from viskill_deploy.sim.world import WorldOptions
 

@@ -78,7 +78,8 @@ def command(
     ] = DriverChoice.LOOPBACK,
     ik_solver: Annotated[str, typer.Option(help="QP solver of the IK.")] = "daqp",
     speed: Annotated[
-        float, typer.Option(min=0.05, max=1.0, help="Part of the planned tip speed to use.")
+        float,
+        typer.Option(min=0.05, max=1.0, help="Part of full speed; limits of speed go with it."),
     ] = 1.0,
     retries: Annotated[
         int,

@@ -33,16 +33,13 @@ class Attempts:
         session: the arms.
         job: what to do.
         rng: for the scripted plan's subgoals.
-        speed: part of the planned tip speed to use.
 
     Attributes:
         subgoals: who gives the subgoals of the present attempt.
     """
 
-    def __init__(
-        self, session: Session, job: Job, rng: np.random.Generator, speed: float = 1.0
-    ) -> None:
-        self._session, self._job, self._rng, self._speed = session, job, rng, speed
+    def __init__(self, session: Session, job: Job, rng: np.random.Generator) -> None:
+        self._session, self._job, self._rng = session, job, rng
         self.subgoals: SubgoalSource = subgoal_source(job.bundle, job.task, rng)
 
     def plan(self, state: CellState, scene: Scene, first: str = "") -> Plan:
@@ -69,11 +66,10 @@ class Attempts:
             held,
             scene,
             self._rng,
-            self._speed,
             self.subgoals,
             first,
         )
-        plan.check(session.cell, session.driver.period_s, state, session.line.ik_solver)
+        session.check(plan, state)
         return plan
 
     def again(self, boundary: Boundary, result: EpisodeResult) -> Plan | None:

@@ -31,8 +31,9 @@ from viskill_deploy.runtime.faults import Injection
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.preflight import Prepared
+from viskill_deploy.runtime.record import Recorder
 from viskill_deploy.runtime.replay import PreparedTrajectory, followed
-from viskill_deploy.runtime.session import Recorder, Session
+from viskill_deploy.runtime.session import Session
 from viskill_deploy.sim.world import WorldOptions
 
 LAYOUTS = 2**29
@@ -52,7 +53,7 @@ class DryRunOptions:
         world: control period, noise and delay of the simulated cell.
         real_time: the simulated cell runs as a process of its own, against the clock.
         driver: what stands between runtime and simulated cell: nothing, or CiA 402 drives on CAN.
-        speed: part of the planned tip speed to use, in (0, 1].
+        speed: how fast the time base of line and gate runs, in (0, 1].
         faults: what goes wrong on the way.
         retries: how often in an episode a skill is tried again where a grasp was lost or the value
             is low; 0 goes to the start pose at once.
@@ -166,10 +167,10 @@ def _episode(
     began = session.driver.clock.now()
     try:
         if isinstance(prepared, PreparedTrajectory):
-            result = followed(session, prepared.waypoints, episode, options.speed)
+            result = followed(session, prepared.waypoints, episode)
         elif options.mode == "plan":
             job = Job(prepared.bundle, prepared.task, options.retries)
-            result = planned(session, job, rng, episode, options.speed)
+            result = planned(session, job, rng, episode)
         else:
             job = Job(prepared.bundle, prepared.task, options.retries)
             result = closed_loop(session, job, rng, episode)

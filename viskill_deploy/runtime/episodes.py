@@ -148,15 +148,13 @@ def _note_step(
     return skill
 
 
-def planned(
-    session: Session, job: Job, rng: np.random.Generator, episode: int, speed: float = 1.0
-) -> EpisodeResult:
+def planned(session: Session, job: Job, rng: np.random.Generator, episode: int) -> EpisodeResult:
     """Makes the whole plan in a simulator, checks it, and only then streams it, skill by skill."""
     result = EpisodeResult(episode)
     session.make_ready()
     if not measure_empty_jaws(session, result):
         return result
-    attempts, scene = Attempts(session, job, rng, speed), scene_of(session)
+    attempts, scene = Attempts(session, job, rng), scene_of(session)
     plan: Plan | None = attempts.plan(session.driver.state(), scene)
     session.begin()
     session.recorder.mark(session.driver.clock.now(), episode, "", 0, scene.active)

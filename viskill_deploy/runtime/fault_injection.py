@@ -36,7 +36,7 @@ from viskill_deploy.motion.smoothing import AxisMotion
 from viskill_deploy.runtime.faults import Injection
 from viskill_deploy.runtime.faulty_driver import FaultyDriver
 from viskill_deploy.runtime.line import Line
-from viskill_deploy.runtime.session import Recorder
+from viskill_deploy.runtime.record import Recorder
 
 SLOW_S = 0.08
 """What a slow policy takes longer: less than S19 allows."""

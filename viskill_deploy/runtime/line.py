@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.errors import KinematicsError, ViskillError
+from viskill_deploy.core.errors import KinematicsError, MotionError, ViskillError
 from viskill_deploy.core.types import (
     CellState,
     FloatArray,
@@ -53,7 +53,7 @@ AT_REST = 1e-6
 """Rad/s or m/s below which an axis counts as standing still."""
 
 SLOWEST = 0.1
-"""Slowest rate of the time base that SCALE requests lead to."""
+"""Slowest rate of the time base that SCALE requests lead to, as a part of its full rate."""
 
 
 class Motion(Protocol):
@@ -76,19 +76,21 @@ class Line:
         cell: the arms in their places.
         period_s: control period.
         ik_solver: "daqp" or any solver that qpsolvers knows.
-        speed: part of the planned tip speed to use.
+        speed: how fast the time base runs, in (0, 1]: the same way, at a part of every speed.
 
     Attributes:
-        rate: speed of the time base, 1.0 unless the gate has asked for less.
+        rate: speed of the time base, `speed` unless the gate has asked for less.
         links: between the task frame and the joints.
     """
 
     def __init__(
         self, cell: CellDescription, period_s: float, ik_solver: str = "daqp", speed: float = 1.0
     ) -> None:
-        self.cell, self.period_s, self.rate = cell, period_s, 1.0
-        self.ik_solver = ik_solver
-        self._planner = SegmentPlanner(cell, period_s, speed)
+        if not 0.0 < speed <= 1.0:
+            raise MotionError("speed must be in (0, 1]; ask for a part of full speed")
+        self.cell, self.period_s, self.rate = cell, period_s, speed
+        self.ik_solver, self.speed = ik_solver, speed
+        self._planner = SegmentPlanner(cell, period_s)
         self.links = CellLinks(cell)
         self._arms = self.links.arms
         self._bases = [entry.T_task_base[:3].tolist() for entry in cell.arms]
@@ -111,7 +113,7 @@ class Line:
             tuple(AxisMotion.at_rest((*a.setpoint_jp, a.jaw_setpoint_jp)) for a in state.arms)
         )
         self._motion, self._phase, self._fault = None, 0.0, ""
-        self.rate, self._rate_change = 1.0, 0.0
+        self.rate, self._rate_change = self.speed, 0.0
 
     @property
     def arrived(self) -> bool:
@@ -224,14 +226,15 @@ class Line:
     def advance(self, speed_scale: float) -> None:
         """Lets the time base run for one period, as fast as the gate agrees to."""
         self._phase += self.period_s * self.rate
-        goal = max(self.rate * speed_scale, SLOWEST) if speed_scale < 1.0 else 1.0
+        full, slowest = self.speed, SLOWEST * self.speed
+        goal = max(self.rate * speed_scale, slowest) if speed_scale < 1.0 else full
         away, bend = goal - self.rate, RATE_BEND_PER_S2 * self.period_s
         # Even steps down to no change, none larger than a bend, that end where the goal is reached.
         steps = math.ceil(math.sqrt(0.25 + 2.0 * abs(away) / (bend * self.period_s)) - 0.5)
         change = 2.0 * abs(away) / (self.period_s * (steps + 1))
         wish = math.copysign(min(change, RATE_CHANGE_PER_S), away) - self._rate_change
         self._rate_change += min(max(wish, -bend), bend)
-        self.rate = min(max(self.rate + self._rate_change * self.period_s, SLOWEST), 1.0)
+        self.rate = min(max(self.rate + self._rate_change * self.period_s, slowest), full)
 
     def sample(self) -> tuple[AxisMotion, ...]:
         """Smoothed state of every arm at the end of the coming period."""

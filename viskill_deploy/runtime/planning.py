@@ -69,7 +69,12 @@ class Plan:
         return min(index, len(self.waypoints) - 1)
 
     def check(
-        self, cell: CellDescription, period_s: float, state: CellState, ik_solver: str = "daqp"
+        self,
+        cell: CellDescription,
+        period_s: float,
+        state: CellState,
+        ik_solver: str = "daqp",
+        speed: float = 1.0,
     ) -> dict[str, float]:
         """Puts every setpoint of the plan before a gate that lets nothing out.
 
@@ -83,8 +88,8 @@ class Plan:
             SafetyStop: the gate would step in or ask for less speed; names rule, time and arm.
                 Nothing has moved.
         """
-        gate, now = Rehearsal(cell, period_s, self.training), 1.0
-        line = Line(cell, period_s, ik_solver)
+        gate, now = Rehearsal(cell, period_s, self.training, speed), 1.0
+        line = Line(cell, period_s, ik_solver, speed)
         line.start(state)
         start = _ideal(state, line.setpoints, now, consent=False)
         agreed = replace(start, inputs=replace(start.inputs, consent=True))
@@ -115,7 +120,6 @@ def make_plan(
     held: FloatArray,
     scene: Scene,
     rng: np.random.Generator,
-    speed: float = 1.0,
     subgoals: SubgoalSource | None = None,
     first: str = "",
     must_succeed: bool = True,
@@ -132,7 +136,6 @@ def make_plan(
         held: axis positions of the setpoints that their driver holds: where the plan starts.
         scene: where the objects are.
         rng: for the scripted plan's subgoals.
-        speed: part of the planned tip speed to use.
         subgoals: who gives the subgoals; by default, what the bundle asks for.
         first: name of the skill to begin with; the task's first by default.
         must_succeed: whether a plan that does not do the task is refused.
@@ -158,7 +161,7 @@ def make_plan(
     dense = densified(waypoints)
     q = resolve(cell, dense[1:], held.tolist())
     changes = [i for i in range(1, len(dense) - 1) if dense[i].skill != dense[i + 1].skill]
-    motion = smooth(cell, q, cell.file.motion.step_s, speed, changes)
+    motion = smooth(cell, q, cell.file.motion.step_s, rests=changes)
     succeeds = loop.success()
     if must_succeed and not succeeds:
         raise MotionError(

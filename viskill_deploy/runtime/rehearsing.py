@@ -39,7 +39,7 @@ class Rehearsed:
 
     Attributes:
         period_s: control period, s.
-        speed: part of the planned tip speed to use.
+        speed: how fast the time base of line and gate runs, in (0, 1].
         ik_solver: QP solver of the IK.
         seed: of the scripted plan's random part.
     """
@@ -233,7 +233,6 @@ def _plan(prepared: Prepared, state: CellState, scene: Scene, how: Rehearsed) ->
         held,
         scene,
         rng,
-        how.speed,
         must_succeed=False,
     )
     text = f"{len(plan.waypoints) - 1} waypoints in {plan.motion.duration_s:.1f} s"
@@ -245,7 +244,7 @@ def _plan(prepared: Prepared, state: CellState, scene: Scene, how: Rehearsed) ->
 def _judged(
     prepared: Prepared, plan: Plan, state: CellState, how: Rehearsed
 ) -> Found[dict[str, float]]:
-    margins = plan.check(prepared.cell, how.period_s, state, how.ik_solver)
+    margins = plan.check(prepared.cell, how.period_s, state, how.ik_solver, how.speed)
     tightest = min(margins.values())
     return Found(margins, f"passes all {len(margins)} rules of the gate", tightest)
 

@@ -80,9 +80,7 @@ def prepare_trajectory(path: Path) -> PreparedTrajectory:
     return PreparedTrajectory(name, task, cell, tuple(plan.unpacked()), files, tuple(notes))
 
 
-def followed(
-    session: Session, waypoints: Sequence[Waypoint], episode: int, speed: float = 1.0
-) -> EpisodeResult:
+def followed(session: Session, waypoints: Sequence[Waypoint], episode: int) -> EpisodeResult:
     """Plans from where the arms are, puts the whole plan before a gate, and only then streams it.
 
     Raises:
@@ -90,8 +88,8 @@ def followed(
         SafetyStop: the gate would step in; nothing has moved.
     """
     result, state = EpisodeResult(episode), session.make_ready()
-    plan = plan_waypoints(session.cell, waypoints, axes_of(state), speed)
-    plan.check(session.cell, session.driver.period_s, state, session.line.ik_solver)
+    plan = plan_waypoints(session.cell, waypoints, axes_of(state))
+    session.check(plan, state)
     session.begin()
     session.recorder.mark(session.driver.clock.now(), episode, "trajectory", 0)
     session.line.follow(plan.motion)

@@ -3,33 +3,31 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Self
 
 from viskill_deploy.core import realtime
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.errors import DriverError, SafetyStop, ViskillError
+from viskill_deploy.core.errors import DriverError, Interrupted, SafetyStop, ViskillError
 from viskill_deploy.core.types import (
     Action,
-    Boundary,
     CellState,
     FloatArray,
     Inputs,
-    JointSetpoint,
     Mode,
     ObservationRange,
     Request,
-    Scene,
-    SkillStart,
-    Verdict,
     Waypoint,
 )
 from viskill_deploy.drivers.base import Driver
 from viskill_deploy.drivers.watch import OwnTime
+from viskill_deploy.runtime.consent import Consent, consent_of
 from viskill_deploy.runtime.ledger import EpisodeResult, Ledger
 from viskill_deploy.runtime.line import Line
+from viskill_deploy.runtime.planning import Plan
+from viskill_deploy.runtime.record import Recorder
 from viskill_deploy.safety.decision import Decision
 from viskill_deploy.safety.supervisor import Supervisor
 
@@ -40,7 +38,7 @@ SIMULATED = "simulated"
 """Source of the consent that the loopback's own operator gives; no real arm moves on it."""
 
 READY_PERIODS = 50
-"""Control periods that the arms get to become READY."""
+"""Control periods that the arms get, at least, to become READY."""
 
 SCENE_PERIOD_S = 0.02
 """The objects are recorded at 50 Hz."""
@@ -57,55 +55,6 @@ STOP_S = 2.0
 """Time that the gate's own stop gets before the session gives up waiting for rest."""
 
 
-class Recorder(Protocol):
-    """Where every cycle leaves its record (S32); `observe.recording` has the real one."""
-
-    @property
-    def alive(self) -> bool:
-        """Whether the record is being kept."""
-        ...
-
-    @property
-    def process_id(self) -> int:
-        """The process that writes it."""
-        ...
-
-    def cycle(
-        self,
-        now: float,
-        state: CellState,
-        request: Request,
-        sent: Sequence[JointSetpoint],
-        action: Action,
-        verdicts: Sequence[Verdict],
-        mode: Mode,
-        tip_poses: Sequence[FloatArray] | None,
-    ) -> None:
-        """Records one control cycle."""
-        ...
-
-    def scene(self, now: float, scene: Scene) -> None:
-        """Records the objects."""
-        ...
-
-    def mark(
-        self,
-        now: float,
-        episode: int,
-        skill: str,
-        step: int,
-        note: str = "",
-        start: SkillStart | None = None,
-        boundary: Boundary | None = None,
-    ) -> None:
-        """Records where in the run this is, and with a skill's first step what was decided there.
-
-        An episode's first note names its active object. A `boundary` stands by itself, before the
-        first step of the skill that it lets begin.
-        """
-        ...
-
-
 class Session:
     """Drives a cell through the gate.
 
@@ -115,6 +64,7 @@ class Session:
         line: from waypoints to requests.
         recorder: where the run is recorded.
         training: what the policy has seen in training; None where no policy is asked.
+        consent: who lets the arms move; by default, the driver's simulated operator.
 
     Raises:
         DriverError: the driver's time goes on by itself, and it brings no watchdog.
@@ -133,11 +83,13 @@ class Session:
         line: Line,
         recorder: Recorder,
         training: ObservationRange | None = None,
+        consent: Consent | None = None,
     ) -> None:
         if isinstance(driver.watch, OwnTime) and not driver.capabilities.stepped:
             raise DriverError("a driver whose time goes on without us needs a watchdog; add one")
         self.cell, self.driver, self.line, self.recorder = cell, driver, line, recorder
-        self.gate = Supervisor(cell, driver.period_s, training)
+        self.gate = Supervisor(cell, driver.period_s, training, line.speed)
+        self._consent = consent or consent_of(driver)
         self.ledger = Ledger(cell, driver.period_s, self.gate.rules)
         self._scene_due_s = 0.0
         self.overruns, self.cause = 0, ""
@@ -182,6 +134,16 @@ class Session:
         self._wait_for_next_period()
         return self.driver.state()
 
+    def go_on(self) -> None:
+        """Raises Interrupted when a person has asked for the end while nothing moves."""
+        if self.is_stop_wanted:
+            raise Interrupted("interrupted; the arms are at rest")
+
+    def check(self, plan: Plan, state: CellState) -> dict[str, float]:
+        """Puts a plan before a gate that lets nothing out: `Plan.check` as this session runs."""
+        line = self.line
+        return plan.check(self.cell, self.driver.period_s, state, line.ik_solver, line.speed)
+
     def begin(self) -> None:
         """Gets the operator's consent and arms the gate; the arms are ready.
 
@@ -204,14 +166,11 @@ class Session:
 
     def _armed(self) -> CellState:
         """The state in which the operator agreed and the gate was armed."""
-        self._deadline = self.driver.clock.now()
-        if self.driver.capabilities.simulated:
-            self.gate.reset(self._deadline)
-            self.gate.disarm()
-            self.driver.say(consent=False)
+        consent, self._deadline = self._consent, self.driver.clock.now()
+        consent.clear(self.gate, self._deadline)
+        consent.want(False)
         self._watch(lambda state: not state.inputs.consent)
-        if self.driver.capabilities.simulated:
-            self.driver.say(consent=True)
+        consent.want(True)
         state = self._watch(lambda state: state.inputs.consent)
         if state.inputs.consent_source == SIMULATED and not self.driver.capabilities.simulated:
             raise SafetyStop(
@@ -249,13 +208,17 @@ class Session:
         return states
 
     def _watch(self, seen: Callable[[CellState], bool]) -> CellState:
-        """Shows the gate states until one is as awaited, or the arms had time enough for it."""
-        for _ in range(READY_PERIODS):
+        """Shows the gate states until one is as awaited, or people and arms had time enough."""
+        patience_s = self._consent.patience_s
+        deadline, periods = self.driver.clock.now() + patience_s, READY_PERIODS
+        while periods > 0 or self.driver.clock.now() < deadline:
+            periods -= 1
             self._wait_for_next_period()
             state = self.driver.state()
             self.gate.connect(state)
             if seen(state) and self.gate.mode is Mode.READY:
                 break
+            self.go_on()
         return state
 
     def go_to(self, waypoint: Waypoint, last: bool = False) -> float:

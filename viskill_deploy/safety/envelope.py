@@ -95,9 +95,19 @@ class CellEnvelope:
 
     @classmethod
     def of(
-        cls, cell: CellDescription, period_s: float, training: ObservationRange | None = None
+        cls,
+        cell: CellDescription,
+        period_s: float,
+        training: ObservationRange | None = None,
+        speed: float = 1.0,
     ) -> CellEnvelope:
         """The thresholds of `cell`, each checked for sense and against its ceiling.
+
+        Args:
+            cell: the cell's description.
+            period_s: control period, s.
+            training: what the policy has seen in training.
+            speed: part of every speed limit that is left, in (0, 1].
 
         Raises:
             DataFileError: a value is not finite, not positive, out of order or looser than the
@@ -106,6 +116,7 @@ class CellEnvelope:
         path, motion = cell.files[0], cell.file.motion
         low, high = ceilings.PERIOD_S
         check(path, "period_s", period_s, low, high)
+        _positive(path, "speed", speed, 1.0)
         _positive(path, "motion.tip_speed_m_s", motion.tip_speed_m_s, ceilings.TIP_SPEED_M_S)
         check(
             path,
@@ -121,9 +132,9 @@ class CellEnvelope:
         if not cell.arms:
             raise DataFileError(path, "arm", "the cell has no arm; add one")
         return cls(
-            arms=tuple(_arm(path, arm) for arm in cell.arms),
+            arms=tuple(_arm(path, arm, speed) for arm in cell.arms),
             period=float(period_s),
-            tip_speed=float(motion.tip_speed_m_s),
+            tip_speed=speed * float(motion.tip_speed_m_s),
             tip_speed_ceiling=float(motion.tip_speed_ceiling_m_s),
             floor=float(motion.floor_m),
             consent_hold=float(motion.consent_hold_s),
@@ -133,7 +144,7 @@ class CellEnvelope:
         )
 
 
-def _arm(cell_path: Path, cell_arm: CellArm) -> ArmEnvelope:
+def _arm(cell_path: Path, cell_arm: CellArm, speed: float) -> ArmEnvelope:
     arm, entry = cell_arm.arm, cell_arm.entry
     _check_gate(arm)
     _check_joints(arm)
@@ -149,7 +160,7 @@ def _arm(cell_path: Path, cell_arm: CellArm) -> ArmEnvelope:
         margin=_floats(
             *(gate.position_margin_m if slides else gate.position_margin_rad for slides in by_kind)
         ),
-        max_speed=_floats(*arm.limit(2), jaw.max_velocity_rad_s),
+        max_speed=_floats(*(speed * v for v in (*arm.limit(2), jaw.max_velocity_rad_s))),
         max_acceleration=_floats(*arm.limit(3), jaw.max_acceleration_rad_s2),
         max_jerk=_floats(*arm.limit(4), jaw.max_jerk_rad_s3),
         measured_slack=float(gate.measured_slack),

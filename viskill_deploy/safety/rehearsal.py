@@ -14,15 +14,20 @@ class Rehearsal:
         cell: the cell.
         period_s: time between two requests, s.
         training: what the policy has seen in training.
+        speed: part of every speed limit that is left, in (0, 1].
 
     Attributes:
         margins: smallest margin to every rule so far, by id; 1.0 where it was far or not asked.
     """
 
     def __init__(
-        self, cell: CellDescription, period_s: float, training: ObservationRange | None = None
+        self,
+        cell: CellDescription,
+        period_s: float,
+        training: ObservationRange | None = None,
+        speed: float = 1.0,
     ) -> None:
-        self._gate = Supervisor(cell, period_s, training)
+        self._gate = Supervisor(cell, period_s, training, speed)
         self.margins = dict.fromkeys(self._gate.rules, 1.0)
 
     def begin(self, refused: CellState, agreed: CellState, now: float) -> tuple[Verdict, ...]:

@@ -46,7 +46,11 @@ class Supervisor:
     """
 
     def __init__(
-        self, cell: CellDescription, period_s: float, training: ObservationRange | None = None
+        self,
+        cell: CellDescription,
+        period_s: float,
+        training: ObservationRange | None = None,
+        speed: float = 1.0,
     ) -> None:
         """Reads the thresholds of a cell.
 
@@ -54,12 +58,13 @@ class Supervisor:
             cell: the cell's description.
             period_s: time between two checks, 1 to 10 ms.
             training: what the policy has seen in training; None where no policy is asked.
+            speed: part of every speed limit that is left, in (0, 1].
 
         Raises:
             DataFileError: a threshold makes no sense or is looser than the gate's ceiling.
             SafetyStop: the installation lacks a rule.
         """
-        self.envelope = CellEnvelope.of(cell, period_s, training)
+        self.envelope = CellEnvelope.of(cell, period_s, training, speed)
         self._classes = find_rules()
         self.rules = tuple(rule.id for rule in self._classes)
         self._modes = Modes()
@@ -77,6 +82,11 @@ class Supervisor:
     def mode(self) -> Mode:
         """The present mode."""
         return self._modes.mode
+
+    @property
+    def latched(self) -> Action:
+        """Worst action that nobody has cleared; PASS when none is."""
+        return self._modes.latched
 
     def connect(self, state: CellState) -> Mode:
         """Follows the evidence from OFF up to READY; call it with each state until armed."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from viskill_deploy.core.description import CellDescription, load_cell
+from viskill_deploy.core.errors import MotionError
 from viskill_deploy.core.types import Waypoint
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.kinematics.arm import Arm
@@ -17,10 +18,12 @@ CELL = load_cell("bipegtransfer")
 PERIOD_S = 0.004
 
 
-def started(cell: CellDescription = CELL, solver: str = "daqp") -> tuple[Line, Waypoint]:
+def started(
+    cell: CellDescription = CELL, solver: str = "daqp", speed: float = 1.0
+) -> tuple[Line, Waypoint]:
     driver = LoopbackDriver(cell)
     driver.connect()
-    line = Line(cell, PERIOD_S, solver)
+    line = Line(cell, PERIOD_S, solver, speed)
     line.start(driver.state())
     return line, waypoint_at(cell, driver.world.home)
 
@@ -175,3 +178,22 @@ def test_a_displaced_port_goes_into_the_qp_and_shows_as_remote_centre_error() ->
     tilt = [kinematics.rcm_error(q, (0.002, 0.0, 0.0)) for q in rows[:, 0]]
     assert max(tilt) <= 0.002 + 1e-9
     assert min(tilt) > 0.0015
+
+
+def test_a_line_at_a_part_of_full_speed_goes_the_same_way_at_that_part_of_every_speed() -> None:
+    full, waypoint = started()
+    goal = moved(waypoint, 0.6, -0.6, -0.2, 0.3)
+    full.go_to(goal, last=True)
+    path = np.array(walk(full))
+    quarter, _ = started(speed=0.25)
+    quarter.go_to(goal, last=True)
+    slow = np.array(walk(quarter))
+    np.testing.assert_allclose(slow[3::4][: len(path)], path, atol=2e-5)
+    fastest = np.abs(np.diff(path, axis=0)).max()
+    assert np.abs(np.diff(slow, axis=0)).max() == pytest.approx(fastest / 4, rel=0.05)
+
+
+@pytest.mark.parametrize("speed", [0.0, -0.5, 1.01, float("nan")])
+def test_a_line_has_no_other_speed_than_a_part_of_full_speed(speed: float) -> None:
+    with pytest.raises(MotionError, match="ask for a part of full speed"):
+        Line(CELL, PERIOD_S, speed=speed)

@@ -191,3 +191,18 @@ def test_a_cell_without_arms_is_refused():
 
 def test_an_insertion_range_that_ends_in_the_cannula_is_refused():
     assert refused(with_joint(2, "upper_m", 0.06)) == "insertion range past the cannula"
+
+
+def test_a_part_of_full_speed_is_a_part_of_every_speed_limit_and_of_nothing_else() -> None:
+    full, quarter = CellEnvelope.of(CELL, 0.004), CellEnvelope.of(CELL, 0.004, speed=0.25)
+    assert quarter.tip_speed == 0.25 * full.tip_speed
+    assert quarter.tip_speed_ceiling == full.tip_speed_ceiling
+    for slow, fast in zip(quarter.arms, full.arms, strict=True):
+        assert slow.max_speed == tuple(0.25 * speed for speed in fast.max_speed)
+        assert replace(slow, max_speed=fast.max_speed) == fast
+
+
+@pytest.mark.parametrize("speed", [0.0, -0.25, 1.0 + 1e-9, float("nan"), float("inf")])
+def test_no_speed_above_full_speed_or_without_sense_is_taken(speed: float) -> None:
+    with pytest.raises(DataFileError, match="speed"):
+        CellEnvelope.of(CELL, 0.004, speed=speed)

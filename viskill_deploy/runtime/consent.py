@@ -1,0 +1,88 @@
+"""How a session gets the operator's consent: it says what it waits for, and a person answers.
+
+The answer itself comes with the driver's inputs (S22), as a rising edge; nothing here can stand in
+for it on real arms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from viskill_deploy.drivers.base import Driver
+from viskill_deploy.safety.supervisor import Supervisor
+
+PATIENCE_S = 60.0
+"""Time that a person gets to find the pedal."""
+
+
+class Consent(Protocol):
+    """Who lets the arms move.
+
+    Attributes:
+        patience_s: how long they may take to do what is wanted, s.
+    """
+
+    patience_s: float
+
+    def clear(self, gate: Supervisor, now: float) -> None:
+        """Before arming: clears what an earlier motion has latched, where that is theirs to do."""
+        ...
+
+    def want(self, agreed: bool) -> None:
+        """The session waits for consent to be withdrawn, or to be given."""
+        ...
+
+
+class SimulatedConsent:
+    """The loopback's operator: agrees at once, and clears what an episode has latched.
+
+    Args:
+        driver: of the simulated cell.
+    """
+
+    patience_s = 0.0
+
+    def __init__(self, driver: Driver) -> None:
+        self._driver = driver
+
+    def clear(self, gate: Supervisor, now: float) -> None:
+        """A new episode is a new start."""
+        gate.reset(now)
+        gate.disarm()
+
+    def want(self, agreed: bool) -> None:
+        """Says it."""
+        self._driver.say(consent=agreed)
+
+
+class PersonsConsent:
+    """A person at the robot. On a simulated cell its operator does what the person is asked to.
+
+    Args:
+        driver: what brings the person's word.
+        tell: shows a person a line.
+    """
+
+    def __init__(self, driver: Driver, tell: Callable[[str], None] = lambda note: None) -> None:
+        self._driver, self._tell = driver, tell
+        self._is_simulated = driver.capabilities.simulated
+        self.patience_s = 0.0 if self._is_simulated else PATIENCE_S
+
+    def clear(self, gate: Supervisor, now: float) -> None:
+        """Nothing: what is latched ends the run."""
+
+    def want(self, agreed: bool) -> None:
+        """Tells the person what to do."""
+        self._tell(
+            "press the consent pedal and keep it pressed: the arms are about to move"
+            if agreed
+            else "take your foot off the consent pedal"
+        )
+        if self._is_simulated:
+            self._driver.say(consent=agreed)
+
+
+def consent_of(driver: Driver) -> Consent:
+    """Who agrees where nobody else is named."""
+    return SimulatedConsent(driver) if driver.capabilities.simulated else PersonsConsent(driver)
