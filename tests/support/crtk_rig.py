@@ -27,7 +27,13 @@ PERIOD_S = 0.004
 
 
 class Client:
-    """A client of one arm that hears everything and remembers it."""
+    """A client of one arm that hears everything and remembers it.
+
+    Attributes:
+        state: the newest operating state, also after `forget`.
+    """
+
+    state: OperatingState
 
     def __init__(self, exchange: Exchange, arm: str = "PSM1", version: Any = "2.4") -> None:
         self.node, self.heard = Inproc(exchange), list[tuple[str, Any]]()
@@ -43,6 +49,8 @@ class Client:
         def hear(word: Any, received_s: float) -> None:
             del received_s
             self.heard.append((key, word))
+            if key == "operating_state":
+                self.state = word
 
         self.node.subscribe(name, message, hear, True)
 
@@ -84,11 +92,6 @@ class Client:
         self.heard.clear()
 
     @property
-    def state(self) -> OperatingState:
-        """The newest operating state."""
-        return self.last("operating_state")
-
-    @property
     def summary(self) -> tuple[str, bool, bool]:
         """State, is_homed, is_busy."""
         return self.state.state, self.state.is_homed, self.state.is_busy
@@ -107,6 +110,7 @@ class Rig:
         self.exchange = exchange or Exchange(self.clock)
         self.options = options or ServerOptions(homing="stay")
         self.cell = LoopbackCell(World(load_cell("bipegtransfer"), world))
+        self.cell.reset(self.cell.scene(0.0))
         self.told: list[tuple[str, Any]] = []
         self.server = CrtkCell(
             self.cell,

@@ -92,7 +92,7 @@ class ArmOnWire:
         self._listened: list[str] = []
         self._stamp_ns = 0
         self._due_s = self._repeat_due_s = 0.0
-        self.is_silent = self.is_invalid = False
+        self.is_silent = self.is_invalid = self._was_busy = False
         self.has_supply, self.intruder = True, tuple[float, ...]()
         self.spoil: Callable[[str, Any], Any] = lambda _, message: message
         self._open()
@@ -149,8 +149,10 @@ class ArmOnWire:
             self.arm.tell_state(must=True)
         stamp_ns = self._transport.stamp_ns() - round((now - state.stamp_s) * NANO)
         for event in self.arm.take_events():
-            if event[0] == "operating_state" and not event[1].is_busy:
-                self._read(state, stamp_ns)  # the last setpoint before the word that all is done
+            if event[0] == "operating_state":
+                if self._was_busy and not event[1].is_busy:
+                    self._read(state, stamp_ns)  # the last setpoint, and then that all is done
+                self._was_busy = event[1].is_busy
             self._say(event)
         if now >= self._due_s:
             self._due_s = max(self._due_s + 1.0 / self._options.rate_hz, now)
