@@ -14,6 +14,7 @@ from viskill_deploy.drivers.base import DISABLED
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.motion.waypoints import ActionSpec, apply_action
+from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.moves import axes_of
 from viskill_deploy.runtime.session import Session
@@ -149,6 +150,20 @@ def test_a_driver_that_refuses_a_setpoint_is_stopped_in_the_next_cycle() -> None
     assert run_out(session, driver) == FAULT_AT + 1
     assert session.cause == "S24"
     assert_stopped_smoothly(driver)
+
+
+def test_what_a_driver_complains_of_is_the_episodes_reason_in_its_own_words() -> None:
+    session, driver, _ = running()
+    driver.on_state = silent
+    while session.cycle():
+        pass
+    result = EpisodeResult(0)
+    session.come_to_rest(result)
+    assert (result.stopped_by, result.reason) == ("S24", "the cable is out")
+    driver.on_state = lambda state: state
+    session.make_ready()
+    session.begin()
+    assert session.trouble == ""
 
 
 @pytest.mark.invariant("S32")

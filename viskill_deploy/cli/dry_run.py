@@ -47,6 +47,11 @@ class DriverChoice(enum.StrEnum):
 
     LOOPBACK = "loopback"
     CAN = "can"
+    CRTK = "crtk"
+
+
+RATES = {DriverChoice.LOOPBACK: 250.0, DriverChoice.CAN: 250.0, DriverChoice.CRTK: 200.0}
+"""Hz."""
 
 
 def command(
@@ -68,13 +73,21 @@ def command(
     mode: Annotated[
         ModeName, typer.Option(help="Ask the policy at every step, or plan first and stream.")
     ] = ModeName.CLOSED_LOOP,
-    rate: Annotated[float, typer.Option(min=100, max=1000, help="Control rate, Hz.")] = 250.0,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            min=100, max=1000, help="Control rate, Hz: 250 by default, and 200 with --driver crtk."
+        ),
+    ] = None,
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Loopback in its own process, against the clock.")
     ] = False,
     driver: Annotated[
         DriverChoice,
-        typer.Option(help="The simulated cell itself, or behind CiA 402 drives on CAN buses."),
+        typer.Option(
+            help="The simulated cell itself, or behind CiA 402 drives on CAN buses, or as dVRK "
+            "arms that speak CRTK."
+        ),
     ] = DriverChoice.LOOPBACK,
     ik_solver: Annotated[str, typer.Option(help="QP solver of the IK.")] = "daqp",
     speed: Annotated[
@@ -152,7 +165,7 @@ def command(
         raise typer.BadParameter("--scene says where things are; leave --distribution out")
     _check(prepared, distribution, ik_solver)
     world = WorldOptions(
-        period_s=1.0 / rate,
+        period_s=1.0 / (rate or RATES[driver]),
         joint_noise_rad=joint_noise,
         joint_noise_m=insertion_noise,
         object_noise_m=object_noise,
@@ -174,7 +187,7 @@ def command(
         mode="plan" if mode is ModeName.PLAN else "closed-loop",
         world=world,
         real_time=realtime,
-        driver="can" if driver is DriverChoice.CAN else "loopback",
+        driver=driver.value,
         ik_solver=ik_solver,
         speed=speed,
         faults=_faults(fault or (), mode),

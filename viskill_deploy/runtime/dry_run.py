@@ -22,9 +22,8 @@ from viskill_deploy.core.errors import (
 )
 from viskill_deploy.core.types import Mode as GateMode
 from viskill_deploy.core.types import ObservationRange, Scene
-from viskill_deploy.drivers import loopback, loopback_served
-from viskill_deploy.drivers.base import Driver
 from viskill_deploy.runtime.boundaries import Job
+from viskill_deploy.runtime.driving import DriverName, simulated_driver
 from viskill_deploy.runtime.episodes import closed_loop, planned
 from viskill_deploy.runtime.fault_injection import FaultInjector
 from viskill_deploy.runtime.faults import Injection
@@ -40,7 +39,6 @@ LAYOUTS = 2**29
 """First number of the seeds of layouts: training never uses it."""
 
 Mode = Literal["closed-loop", "plan"]
-DriverName = Literal["loopback", "can"]
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,7 @@ class DryRunOptions:
             task's first distribution; later plans then start from the scene as they find it.
         world: control period, noise and delay of the simulated cell.
         real_time: the simulated cell runs as a process of its own, against the clock.
-        driver: what stands between runtime and simulated cell: nothing, or CiA 402 drives on CAN.
+        driver: what stands between runtime and simulated cell.
         speed: how fast the time base of line and gate runs, in (0, 1].
         faults: what goes wrong on the way.
         retries: how often in an episode a skill is tried again where a grasp was lost or the value
@@ -103,7 +101,9 @@ def dry_run(
     """
     clock, notes = MonotonicClock(), list(prepared.notes)
     failure: ViskillError | None = None
-    driver = _connected(prepared, options)
+    driver = simulated_driver(
+        options.driver, prepared.cell, options.world, options.seed, options.real_time
+    )
     faults: FaultInjector | None = None
     line = Line(prepared.cell, driver.period_s, options.ik_solver, options.speed)
     training: ObservationRange | None = None
@@ -132,16 +132,6 @@ def dry_run(
     figures = _figures(prepared, options, session, wall, notes)
     figures["faults"] = [struck.facts() for struck in faults.struck] if faults else []
     return Outcome(figures, failure)
-
-
-def _connected(prepared: Prepared | PreparedTrajectory, options: DryRunOptions) -> Driver:
-    if options.driver == "can":
-        from viskill_deploy.drivers.can import simulated  # noqa: PLC0415 - needs an extra
-
-        on_can = simulated.connect_served if options.real_time else simulated.connect
-        return on_can(prepared.cell, options.world, options.seed)
-    connect = loopback_served.connect if options.real_time else loopback.connect
-    return connect(prepared.cell, options.world, options.seed)
 
 
 def _go_on(session: Session) -> None:

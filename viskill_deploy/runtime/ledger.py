@@ -38,7 +38,8 @@ class EpisodeResult:
 
     Attributes:
         stopped_by: id of the rule for which the gate stepped in; "" if it did not.
-        reason: why the line had nothing to ask the gate for, in words; "" if it always had.
+        reason: what the driver complained of, or why the line had nothing to ask the gate for, in
+            words; "" if neither.
         refused: why nothing was moved at all; "" if it was.
         retries: how often a skill was tried again.
         boundaries: what was decided between the skills, in order.

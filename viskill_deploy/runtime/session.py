@@ -71,6 +71,7 @@ class Session:
 
     Attributes:
         cause: id of the rule for which the gate first stepped in since `begin`; "" if it did not.
+        trouble: what the driver first complained of since then, in words; "" if it did not.
         is_stop_wanted: a person has asked for the end of the run.
         thinking_s: how much longer the policy takes to decide than it does by itself; for tests.
         empty_jaw_rad: how far each jaw is open when it closes on nothing; () until measured.
@@ -92,7 +93,7 @@ class Session:
         self._consent = consent or consent_of(driver)
         self.ledger = Ledger(cell, driver.period_s, self.gate.rules)
         self._scene_due_s = 0.0
-        self.overruns, self.cause = 0, ""
+        self.overruns, self.cause, self.trouble = 0, "", ""
         self.thinking_s: Callable[[], float] = lambda: 0.0
         self._deadline, self._missed = 0.0, 0
         self._waypoint: Waypoint | None = None
@@ -161,7 +162,8 @@ class Session:
             self._stand_easy()
             raise
         self.line.start(state)
-        self._state, self._waypoint, self.cause, self._missed = state, None, "", 0
+        self._state, self._waypoint, self._missed = state, None, 0
+        self.cause = self.trouble = ""
         self._is_stopping, self._at_rest, self._is_moving = False, False, True
 
     def _armed(self) -> CellState:
@@ -267,7 +269,8 @@ class Session:
         self.cycle()  # the last sample of the stop once more: the record ends at rest
         self._stand_easy()
         if result is not None:
-            result.stopped_by, result.reason = self.cause, self.line.fault
+            result.stopped_by = self.cause
+            result.reason = self.trouble or self.line.fault
 
     def _stand_easy(self) -> None:
         self._is_moving = False
@@ -279,9 +282,9 @@ class Session:
         """The newest state; the last one, and a report to the gate, when the driver fails."""
         try:
             self._state = self.driver.state()
-        except DriverError:
+        except DriverError as error:
             now, old = self.driver.clock.now(), self._state
-            self.gate.report_fault("S24", now)
+            self._report(error, now)
             self._state = replace(old, inputs=self.driver.watch.told(old.inputs, now))
         return self._state
 
@@ -309,10 +312,15 @@ class Session:
         """Whether the driver did it; a driver that fails is reported to the gate."""
         try:
             call()
-        except DriverError:
-            self.gate.report_fault("S24", now)
+        except DriverError as error:
+            self._report(error, now)
             return False
         return True
+
+    def _report(self, error: DriverError, now: float) -> None:
+        """A rule has a number only; people need the driver's sentence too."""
+        self.trouble = self.trouble or str(error)
+        self.gate.report_fault("S24", now)
 
     def _note(self, decision: Decision) -> None:
         """Remembers what the gate first stepped in for, and whether its stop is over."""

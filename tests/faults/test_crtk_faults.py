@@ -1,0 +1,116 @@
+"""Whatever goes wrong with dVRK arms: what the gate does, when, and what a person is told.
+
+The arms are the simulated ones, stepped; faults are theirs. Both arms move at 40 mm/s when it
+begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from silent_recorder import SilentRecorder
+
+from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.types import Mode
+from viskill_deploy.drivers.crtk.simulated import SteppedCrtk
+from viskill_deploy.motion.resolve import waypoint_at
+from viskill_deploy.motion.waypoints import ActionSpec, apply_action
+from viskill_deploy.runtime.ledger import EpisodeResult
+from viskill_deploy.runtime.line import Line
+from viskill_deploy.runtime.moves import axes_of
+from viskill_deploy.runtime.session import Session
+from viskill_deploy.sim.tasks.base import load_task
+
+CELL = load_cell("bipegtransfer")
+LAYOUT = load_task("bipegtransfer").sample_layout(np.random.default_rng(0), "reference")
+AWAY = np.array([0.7, -0.3, -0.4, 0.0, -1.0, 0.7, 0.3, -0.4, 0.0, -1.0])
+FAULT_AT = 12
+"""Cycles after which the fault begins."""
+
+
+class Run:
+    """A session whose arms are on their way."""
+
+    def __init__(self) -> None:
+        self.driver = SteppedCrtk(CELL)
+        self.driver.connect()
+        self.driver.reset(LAYOUT)
+        line = Line(CELL, self.driver.period_s)
+        self.session = Session(CELL, self.driver, line, SilentRecorder())
+        state = self.session.make_ready()
+        self.session.begin()
+        first = waypoint_at(CELL, axes_of(state))
+        self.session.go_to(apply_action(first, AWAY, first.T_task_tip, CELL, ActionSpec()))
+        for _ in range(FAULT_AT):
+            assert self.session.cycle()
+        self.began = self.driver.clock.now()
+
+    def noticed_s(self) -> float:
+        """How long the gate takes to step in."""
+        while self.session.cycle():
+            assert self.driver.clock.now() < self.began + 1.0, "the gate never stepped in"
+        return self.driver.clock.now() - self.driver.period_s - self.began
+
+    def ended(self) -> EpisodeResult:
+        """The arms are at rest."""
+        result = EpisodeResult(0)
+        self.session.come_to_rest(result)
+        return result
+
+    def speeds(self) -> list[float]:
+        """What every arm is really told to do, rad/s or m/s."""
+        setpoints = self.driver.front.cell.setpoints
+        return [max(map(abs, (*s.jv, s.jaw_v))) for s in setpoints]
+
+    def close(self) -> None:
+        self.session.__exit__(None, None, None)
+
+
+@pytest.fixture
+def run() -> Iterator[Run]:
+    made = Run()
+    yield made
+    made.close()
+
+
+@dataclass(frozen=True)
+class Row:
+    """A fault, and what has to come of it."""
+
+    fault: str
+    rule: str
+    mode: Mode
+    within_s: float
+    said: str
+
+
+ROWS = [
+    Row("tracking", "S23", Mode.FAULT, 0.005, "PSM1 is in FAULT (PSM1: tracking error"),
+    Row("power", "S23", Mode.ESTOPPED, 0.010, "PSM1 is in FAULT (PSM1: detected power loss"),
+    Row("silence", "S18", Mode.FAULT, 0.060, ""),
+    Row("invalid", "S23", Mode.FAULT, 0.015, ""),
+    Row("short", "S24", Mode.FAULT, 0.015, "/PSM1/measured_js carries the joints"),
+    Row("nan", "S02", Mode.FAULT, 0.015, ""),
+    Row("following", "S24", Mode.FAULT, 0.005, "a teleoperation commands PSM1"),
+    Row("second commander", "S24", Mode.FAULT, 0.050, "PSM1 holds a setpoint for"),
+    Row("clutch", "S24", Mode.FAULT, 0.005, "somebody presses PSM1's clutch"),
+    Row("tool", "S24", Mode.FAULT, 0.010, "PSM1 has no instrument"),
+]
+
+
+@pytest.mark.invariant("S02", "S18", "S23", "S24")
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.fault.replace(" ", "-"))
+def test_a_fault_of_one_arm_stops_both_in_its_time_and_is_named(run: Run, row: Row):
+    run.driver.front.cause(row.fault, "PSM1", True)
+    assert run.noticed_s() <= row.within_s + 1e-9
+    assert run.session.cause == row.rule
+    result = run.ended()
+    assert run.session.gate.mode is row.mode
+    assert result.stopped_by == row.rule
+    assert row.said in result.reason
+    assert run.driver.clock.now() - run.began < 0.5
+    run.driver.clock.sleep_until(run.driver.clock.now() + 0.05)
+    assert run.speeds() == [0.0, 0.0]

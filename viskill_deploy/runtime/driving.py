@@ -1,0 +1,44 @@
+"""The drivers of simulated cells, by name. Each is imported when it is chosen: some need extras."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+from viskill_deploy.core.description import CellDescription
+from viskill_deploy.drivers import loopback, loopback_served
+from viskill_deploy.drivers.base import Driver
+from viskill_deploy.sim.world import WorldOptions
+
+DriverName = Literal["loopback", "can", "crtk"]
+
+
+def simulated_driver(
+    name: DriverName, cell: CellDescription, world: WorldOptions, seed: int, real_time: bool
+) -> Driver:
+    """A connected driver of a simulated cell.
+
+    Args:
+        name: what stands between runtime and cell: nothing, CiA 402 drives on CAN, or dVRK arms.
+        cell: the cell as the runtime believes it to be.
+        world: control period, noise and delay.
+        seed: of noise, offsets and losses.
+        real_time: the cell runs as a process of its own, against the clock; else it is stepped.
+
+    Raises:
+        DriverError: it cannot be connected.
+        MissingExtraError: it needs a package that is not installed.
+    """
+    connect: Callable[[CellDescription, WorldOptions, int], Driver]
+    match name:
+        case "can":
+            from viskill_deploy.drivers.can import simulated as can  # noqa: PLC0415
+
+            connect = can.connect_served if real_time else can.connect
+        case "crtk":
+            from viskill_deploy.drivers.crtk import simulated as crtk  # noqa: PLC0415
+
+            connect = crtk.connect
+        case "loopback":
+            connect = loopback_served.connect if real_time else loopback.connect
+    return connect(cell, world, seed)
