@@ -21,9 +21,13 @@ lint: $(VENV)/.dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# What needs ROS runs in environments of its own; tests/ros/install says what is in them.
 unit: $(VENV)/.dev
+	VENV=$(VENV) tests/ros/install
 	rm -f .coverage .coverage.*
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal --cov --cov-report= -m "not slow and not faults"
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal --cov --cov-report= \
+	  -m "not slow and not faults and not ros1 and not ros2"
+	OMP_NUM_THREADS=1 .venv-ros1/bin/python -m pytest --cov --cov-append --cov-report= -m ros1 tests/ros
 	$(BIN)/coverage html -q
 	$(BIN)/coverage report --fail-under=90 | tail -n 25
 	$(BIN)/coverage report --include='viskill_deploy/safety/*' --fail-under=100
@@ -84,7 +88,7 @@ hazards: $(VENV)/.dev
 	$(BIN)/python tests/support/traceability.py
 
 clean:
-	rm -rf $(VENV) build dist runs htmlcov .coverage* .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) .venv-ros1 .venv-ros2 build dist runs htmlcov .coverage* .mypy_cache .ruff_cache .pytest_cache
 
 $(VENV)/bin/pip:
 	$(PYTHON) -m venv $(VENV)

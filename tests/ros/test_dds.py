@@ -5,8 +5,9 @@ import threading
 from pathlib import Path
 
 import pytest
+from crtk_domain import DOMAIN
 from crtk_peer import strays
-from test_transports import DOMAIN, Ear
+from test_transports import Ear
 
 from viskill_deploy.core.errors import DriverError
 from viskill_deploy.drivers.crtk.loopback_only import confine
@@ -79,7 +80,13 @@ def test_a_closed_node_leaves_no_thread_and_no_socket_behind() -> None:
 def test_stray_sockets_would_be_seen() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
         one.bind(("0.0.0.0", 0))
-        assert strays() == [f"0.0.0.0:{one.getsockname()[1]}"]
+        assert strays() == [f"udp 00000000:{one.getsockname()[1]}"]
+    with socket.create_server(("::", 0), family=socket.AF_INET6) as one:
+        assert strays() == [f"tcp6 {'0' * 32}:{one.getsockname()[1]}"]
+    with socket.create_server(("127.0.0.3", 0)):
+        assert strays() == []
+    with socket.create_server(("::1", 0), family=socket.AF_INET6):
+        assert strays() == []
     assert strays() == []
 
 

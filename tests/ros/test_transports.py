@@ -1,6 +1,6 @@
 """Every transport between two processes, over the real middleware and nothing but the loopback."""
 
-import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -8,6 +8,7 @@ from typing import Any
 
 import crtk_samples
 import pytest
+from crtk_domain import DOMAIN
 from crtk_peer import LATCHED, peer, strays
 
 from viskill_deploy.core.errors import DriverError
@@ -16,15 +17,16 @@ from viskill_deploy.drivers.crtk.messages import Bool, Header, JointState, Strin
 from viskill_deploy.drivers.crtk.opening import LOOPBACK, Network, open_transport
 from viskill_deploy.drivers.crtk.transport import Transport
 
-DOMAIN = 40 + os.getpid() % 160
 DISCOVERY_S = 30.0
 
-pytestmark = pytest.mark.parametrize("name", ["dds"])
+pytestmark = pytest.mark.parametrize("name", ["dds", pytest.param("ros1", marks=pytest.mark.ros1)])
 
 
 @pytest.fixture
-def node(name: str) -> Iterator[Transport]:
+def node(name: str, request: pytest.FixtureRequest) -> Iterator[Transport]:
     """A node of this process."""
+    if name == "ros1":
+        request.getfixturevalue("ros_master")
     node = open_transport(name, Network(DOMAIN, LOOPBACK))
     yield node
     assert strays() == []
@@ -110,27 +112,49 @@ def test_peers_counts_who_is_there_and_forgets_who_has_left(node: Transport, nam
     wait_until(lambda: node.peers(there) == 0)
 
 
-def test_the_time_of_arrival_is_the_monotonic_clock(node: Transport) -> None:
+@pytest.mark.parametrize("is_latched", [False, True])
+def test_a_listener_that_hangs_holds_nobody_up(
+    node: Transport, name: str, is_latched: bool
+) -> None:
+    topic = crtk_samples.TOPICS[1]
+    word = crtk_samples.sample(topic.message, 1)
+    publish = node.publisher(f"/there/{topic.name}", topic.message, is_latched)
+    with peer(name, "echo", DOMAIN) as (process, _):
+        wait_until(lambda: node.peers(f"/there/{topic.name}") == 1)
+        process.send_signal(signal.SIGSTOP)
+        before = time.monotonic()
+        for _ in range(500):
+            publish(word)
+        assert time.monotonic() - before < 5.0
+        process.send_signal(signal.SIGCONT)
+
+
+def test_the_time_of_arrival_is_the_monotonic_clock(node: Transport, name: str) -> None:
+    other = open_transport(name, Network(DOMAIN, LOOPBACK))
     publish, ear = node.publisher("/PSM1/measured_js", JointState), Ear()
-    node.subscribe("/PSM1/measured_js", JointState, ear)
+    other.subscribe("/PSM1/measured_js", JointState, ear)
+    wait_until(lambda: node.peers("/PSM1/measured_js") == 1)
     before = time.monotonic()
     publish(JointState(Header(Time.of_ns(node.stamp_ns()))))
     ear.wait_for(1)
     assert before <= ear.times[0] <= time.monotonic()
     assert abs(node.stamp_ns() - time.time_ns()) < 10**9
+    other.close()
 
 
-def test_an_ear_that_raises_does_not_deafen_the_others(node: Transport) -> None:
+def test_an_ear_that_raises_does_not_deafen_the_others(node: Transport, name: str) -> None:
     def raising(word: Bool, received_s: float) -> None:
         raise RuntimeError(word, received_s)
 
-    publish, ear = node.publisher("/PSM1/goal_reached", Bool), Ear()
-    node.subscribe("/PSM1/goal_reached", Bool, raising)
-    node.subscribe("/PSM1/goal_reached", Bool, ear)
+    other = open_transport(name, Network(DOMAIN, LOOPBACK))
+    publish, ear = node.publisher("/PSM1/goal_reached", Bool, is_latched=True), Ear()
+    other.subscribe("/PSM1/goal_reached", Bool, raising, is_latched=True)
+    other.subscribe("/PSM1/goal_reached", Bool, ear, is_latched=True)
     publish(Bool(True))
     ear.wait_for(1)
     publish(Bool(False))
     assert ear.wait_for(2) == [Bool(True), Bool(False)]
+    other.close()
 
 
 def test_a_topic_carries_one_kind_of_message(node: Transport) -> None:

@@ -1,22 +1,30 @@
 """A node of CRTK in a process of its own, for the tests of transports; ends when its input does.
 
 What it does is its second argument: "echo" sends back what comes, "latch" has said three words,
-"flood" says a number at 200 Hz.
+"serve" answers services.
 """
 
+import ctypes
 import json
-import os
 import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
 import crtk_samples
 
-from viskill_deploy.drivers.crtk.messages import String
+from viskill_deploy.drivers.crtk.messages import (
+    ForwardKinematicsRequest,
+    ForwardKinematicsResponse,
+    InverseKinematicsRequest,
+    InverseKinematicsResponse,
+    Point,
+    Pose,
+    String,
+)
 from viskill_deploy.drivers.crtk.opening import LOOPBACK, Network, open_transport
 from viskill_deploy.drivers.crtk.transport import Transport
 
@@ -37,32 +45,62 @@ def latch(node: Transport) -> None:
         publish(String(word))
 
 
+def serve(node: Transport) -> None:
+    """Answers that can be foretold."""
+    node.serve(
+        "/PSM1/inverse_kinematics", InverseKinematicsRequest, InverseKinematicsResponse, invert
+    )
+    node.serve(
+        "/PSM1/forward_kinematics", ForwardKinematicsRequest, ForwardKinematicsResponse, place
+    )
+
+
+def invert(request: InverseKinematicsRequest) -> InverseKinematicsResponse:
+    """The joints doubled, then the position."""
+    at = request.cp.position
+    joints = (*[2 * joint for joint in request.jp], at.x, at.y, at.z)
+    return InverseKinematicsResponse(joints, True, "as foretold")
+
+
+def place(request: ForwardKinematicsRequest) -> ForwardKinematicsResponse:
+    """Three joints as the position."""
+    return ForwardKinematicsResponse(Pose(Point(*request.jp[:3])), False, "no such arm")
+
+
 def strays() -> list[str]:
     """Sockets of this process that others than this machine's loopback could reach."""
+    handles = {}
+    for link in tuple(Path("/proc/self/fd").iterdir()):
+        with suppress(FileNotFoundError):
+            handles[str(link.readlink())] = int(link.name)
     found = []
-    for handle in Path("/proc/self/fd").iterdir():
-        try:
-            if not str(handle.readlink()).startswith("socket:"):
+    for table in ("tcp", "tcp6", "udp", "udp6"):
+        for line in Path(f"/proc/self/net/{table}").read_text().splitlines()[1:]:
+            columns = line.split()
+            address, port = columns[1].split(":")
+            handle = handles.get(f"socket:[{columns[9]}]")
+            if handle is None or address.endswith(LOCAL[len(address)]) or device(handle) == b"lo":
                 continue
-            one = socket.socket(fileno=os.dup(int(handle.name)))
-        except FileNotFoundError:
-            continue
-        with one:
-            if one.family in {socket.AF_INET, socket.AF_INET6}:
-                address, device = (
-                    one.getsockname()[0],
-                    one.getsockopt(1, socket.SO_BINDTODEVICE, 16),
-                )
-                is_local = address.startswith("127.") or address == "::1"
-                is_bound = bool(one.getsockname()[1])
-                if is_bound and not is_local and device.rstrip(b"\0") != b"lo":
-                    found.append(f"{address}:{one.getsockname()[1]}")
+            found.append(f"{table} {address}:{int(port, 16)}")
     return found
 
 
+LOCAL = {8: "7F", 32: "00000000000000000000000001000000"}
+"""How 127.0.0.0/8 and ::1 end in the kernel's tables, by the length of an address."""
+
+
+def device(handle: int) -> bytes:
+    """The device that a socket is tied to; a Python socket for it could change how it blocks."""
+    name, size = ctypes.create_string_buffer(16), ctypes.c_uint(16)
+    library = ctypes.CDLL(None)
+    level, option = socket.SOL_SOCKET, socket.SO_BINDTODEVICE
+    assert library.getsockopt(handle, level, option, name, ctypes.byref(size)) == 0
+    return name.value
+
+
 @contextmanager
-def peer(name: str, work: str, domain: int) -> Iterator[IO[str]]:
-    """That process; its output after "ready"."""
+def peer(name: str, work: str, domain: int) -> Iterator["tuple[subprocess.Popen[str], IO[str]]"]:
+    """That process, and its output after "ready"."""
     command = [sys.executable, __file__, name, work, str(domain)]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -71,7 +109,7 @@ def peer(name: str, work: str, domain: int) -> Iterator[IO[str]]:
         assert process.stdout
         try:
             assert process.stdout.readline() == "ready\n"
-            yield process.stdout
+            yield process, process.stdout
             process.stdin.close()
             assert json.loads(process.stdout.readline()) == []
             assert process.wait(20) == 0
@@ -83,7 +121,7 @@ def main() -> None:
     """Works until the input ends, then tells its stray sockets."""
     name, work, domain = sys.argv[1:]
     node = open_transport(name, Network(int(domain), LOOPBACK, "peer"))
-    {"echo": echo, "latch": latch}[work](node)
+    {"echo": echo, "latch": latch, "serve": serve}[work](node)
     print("ready", flush=True)
     sys.stdin.read()
     print(json.dumps(strays()), flush=True)

@@ -11,6 +11,7 @@ ViskillError
 ├── DriverError           the robot or its connection failed                (exit 4)
 ├── SafetyStop            the gate ended the run                            (exit 5)
 ├── MissingExtraError     an optional dependency is not installed           (exit 6)
+├── MissingRosError       a ROS is not installed, or not in this environment  (exit 6)
 ├── RecordingError        a recording cannot be written or read     (exit 3)
 ├── TrainingError         learning or export failed                         (exit 3)
 └── Interrupted           a person ended the run                            (exit 130)
@@ -130,6 +131,12 @@ class MissingExtraError(ViskillError, ImportError):
     def __init__(self, extra: str, what: str) -> None:
         self.extra = extra
         super().__init__(f"{what} needs an optional part: pip install 'viskill-deploy[{extra}]'")
+
+
+class MissingRosError(ViskillError, ImportError):
+    """A ROS is not installed, or this Python does not see it."""
+
+    exit_code = 6
 
 
 class RecordingError(ViskillError, OSError):

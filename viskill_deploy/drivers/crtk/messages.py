@@ -237,10 +237,11 @@ class Float64MultiArray:
 
 @dataclass(frozen=True, slots=True)
 class ForwardKinematicsRequest:
-    """Joints, rad or m; fewer than the arm has ask for a frame on the way."""
+    """Joints, rad or m; fewer than the arm has ask for a frame on the way. dVRK ignores `cp`."""
 
     ROS: ClassVar = "crtk_msgs/QueryForwardKinematics"
     jp: tuple[Float64, ...] = ()
+    cp: Pose = Pose()
 
 
 @dataclass(frozen=True, slots=True)

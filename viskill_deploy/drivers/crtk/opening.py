@@ -7,9 +7,10 @@ everywhere.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from viskill_deploy.core.errors import DriverError, MissingExtraError
+from viskill_deploy.core.errors import DriverError, MissingExtraError, MissingRosError
 from viskill_deploy.drivers.crtk.transport import Transport
 
 LOOPBACK = "127.0.0.1"
@@ -47,21 +48,28 @@ LAST_DOMAIN = 232
 """The last whose ports exist."""
 
 
+ROS1_ADVICE = (
+    "on Debian or Ubuntu: apt-get install python3-rospy, and let this Python see "
+    "/usr/lib/python3/dist-packages after its own packages (tests/ros/install does it with a .pth "
+    "file); in a ROS installation: source its setup.bash"
+)
+
+
 def open_transport(name: str, network: Network | None = None) -> Transport:
     """A node on the robot's network.
 
     Args:
-        name: "dds".
+        name: "dds" or "ros1".
         network: where.
 
     Raises:
         DriverError: there is no such transport, or the network does not open.
-        MissingExtraError: its middleware is not installed.
+        MissingExtraError: CycloneDDS is not installed.
+        MissingRosError: ROS is not.
     """
-    network = network or Network()
-    if name == "dds":
-        return _dds(network)
-    raise DriverError(f"there is no transport {name!r}; say dds")
+    if name not in OPENERS:
+        raise DriverError(f"there is no transport {name!r}; say one of {', '.join(OPENERS)}")
+    return OPENERS[name](network or Network())
 
 
 def _dds(network: Network) -> Transport:
@@ -70,3 +78,14 @@ def _dds(network: Network) -> Transport:
     except ImportError as error:
         raise MissingExtraError("ros", "CRTK over plain DDS") from error
     return Dds(network.domain_id(), network.interface)
+
+
+def _ros1(network: Network) -> Transport:
+    try:
+        from viskill_deploy.drivers.crtk.ros1 import Ros1  # noqa: PLC0415 - optional
+    except ImportError as error:
+        raise MissingRosError(f"rospy cannot be imported ({error}); {ROS1_ADVICE}") from error
+    return Ros1(network.node, network.interface)
+
+
+OPENERS: dict[str, Callable[[Network], Transport]] = {"dds": _dds, "ros1": _ros1}
