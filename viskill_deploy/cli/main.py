@@ -28,6 +28,7 @@ from viskill_deploy.cli import (
     faults,
     inspect,
     reproduce,
+    serve,
     sweep,
     train,
 )
@@ -56,6 +57,7 @@ app.add_typer(calibrate.app, name="calibrate")
 app.command("convert", epilog=convert.EXAMPLE)(convert.command)
 app.add_typer(export.app, name="export")
 app.add_typer(bring.app, name="import")
+app.add_typer(serve.app, name="serve")
 
 
 def main() -> None:

@@ -91,6 +91,9 @@ class SimulatedArm:
     def tell_state(self, must: bool = False) -> None:
         """Says its operating state when it has changed, or when it `must`."""
         now = self.snapshot
+        if now != self._told:
+            more = [", homed" * now.is_homed, ", busy" * now.is_busy]
+            self._say("status", f"{now.state}{''.join(more)}")
         if must or now != self._told:
             self.events.append(("operating_state", now))
         self._told = now

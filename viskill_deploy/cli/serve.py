@@ -1,0 +1,128 @@
+"""`viskill serve`: a simulated robot that other programs can talk to."""
+
+from __future__ import annotations
+
+import enum
+from typing import Annotated, Any
+
+import typer
+
+from viskill_deploy.core.clock import MonotonicClock
+from viskill_deploy.core.description import load_cell
+from viskill_deploy.drivers.crtk.opening import LOOPBACK, Network, open_transport
+from viskill_deploy.drivers.crtk.server_options import ServerOptions
+from viskill_deploy.drivers.crtk.serving import run, set_up
+from viskill_deploy.drivers.crtk.simulated_cell import CrtkCell
+from viskill_deploy.drivers.crtk.topics import Version
+from viskill_deploy.drivers.loopback_cell import LoopbackCell
+
+EXAMPLE = "Example: viskill serve crtk --transport dds --arms PSM1,PSM2 --cell bipegtransfer"
+
+app = typer.Typer(
+    no_args_is_help=True, help="Serve a simulated robot that other programs can talk to."
+)
+
+
+class TransportChoice(enum.StrEnum):
+    """What carries CRTK."""
+
+    AUTO = "auto"
+    ROS1 = "ros1"
+    ROS2 = "ros2"
+    DDS = "dds"
+
+
+class VersionChoice(enum.Enum):
+    """Which dVRK software is imitated."""
+
+    V24 = "2.4"
+    V23 = "2.3"
+
+    value: Version
+
+
+class HomingChoice(enum.StrEnum):
+    """Where arms go when they are homed."""
+
+    DVRK = "dvrk"
+    STAY = "stay"
+
+
+class Announcer:
+    """Prints a line when an arm changes its state, warns or errs."""
+
+    def __init__(self) -> None:
+        self._told: dict[str, Any] = {}
+
+    def __call__(self, arm: str, event: tuple[str, Any]) -> None:
+        """An arm has said something."""
+        topic, what = event
+        if topic in {"error", "warning"}:
+            print(f"{topic}: {what}", flush=True)
+        elif topic == "operating_state" and self._told.get(arm) != what:
+            self._told[arm] = what
+            more = [", homed" * what.is_homed, ", busy" * what.is_busy]
+            print(f"{arm}: {what.state}{''.join(more)}", flush=True)
+
+
+@app.callback()
+def _robots() -> None:
+    """Serve a simulated robot that other programs can talk to."""
+
+
+@app.command("crtk", epilog=EXAMPLE)
+def crtk(
+    transport: Annotated[
+        TransportChoice, typer.Option(help="ROS 1, ROS 2, or ROS 2's wire without ROS (dds).")
+    ] = TransportChoice.AUTO,
+    cell: Annotated[
+        str, typer.Option(help="A name in robots/cells, or the path of a TOML file.")
+    ] = "bipegtransfer",
+    arms: Annotated[
+        str, typer.Option(help="Such as PSM1,PSM2; all of the cell's by default.")
+    ] = "",
+    version: Annotated[
+        VersionChoice, typer.Option(help="dVRK software whose names and limits it has.")
+    ] = VersionChoice.V24,
+    homing: Annotated[
+        HomingChoice,
+        typer.Option(help="Arms go 12 cm into the cannula, as dVRK's simulation; or they stay."),
+    ] = HomingChoice.DVRK,
+    rate: Annotated[
+        float, typer.Option(min=1, max=250, help="How often readings are published, Hz.")
+    ] = 100.0,
+    domain: Annotated[
+        int | None, typer.Option(min=0, max=232, help="ROS domain; ROS_DOMAIN_ID or 0 by default.")
+    ] = None,
+    interface: Annotated[
+        str, typer.Option(help='Address to be reached at; "" for all. This machine by default.')
+    ] = LOOPBACK,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of where things lie.")] = 0,
+) -> None:
+    """Put the simulated arms on the wire as dVRK arms, until Ctrl-C."""
+    names = tuple(name.strip() for name in arms.split(",") if name.strip())
+    options = ServerOptions(version.value, homing.value, rate, arms=names)
+    world = set_up(load_cell(cell), seed)
+    node = open_transport(transport.value, Network(domain, interface, "viskill_serve"))
+    try:
+        front = CrtkCell(LoopbackCell(world), node, options, Announcer())
+        print(_told(front, node.name, options, interface), flush=True)
+        run(front, MonotonicClock())
+    except KeyboardInterrupt:
+        print("stopped", flush=True)
+    finally:
+        node.close()
+
+
+def _told(front: CrtkCell, transport: str, options: ServerOptions, interface: str) -> str:
+    """What is to be found where."""
+    things = ", ".join(f"/scene/{thing}/measured_cp" for thing in front.cell.world.things)
+    where = "this machine only" if interface == LOOPBACK else interface or "all interfaces"
+    power = "/system" if options.version == "2.4" else "/console"
+    return (
+        f"simulated dVRK {options.version} over {transport}, on {where}\n"
+        f"arms:    {', '.join('/' + arm for arm in front.arms)}, at {options.rate_hz:g} Hz\n"
+        f"console: {power}/power_on, power_off, home; /console/emulate_operator_present\n"
+        f"things:  {things} (no dVRK has these)\n"
+        "stop with Ctrl-C"
+    )
