@@ -5,21 +5,56 @@ from __future__ import annotations
 import numpy as np
 
 from viskill_deploy.bundle.subgoals import KeptSubgoals, SubgoalSource, subgoal_source
-from viskill_deploy.core.errors import DriverError, SafetyStop, ViskillError
+from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.errors import MotionError, SafetyStop, ViskillError
 from viskill_deploy.core.types import Boundary, CellState, Scene
-from viskill_deploy.runtime.boundaries import Job, held_now, leave
+from viskill_deploy.runtime.air import over, start_axes
+from viskill_deploy.runtime.boundaries import Job, held_now, leave, way_back
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.moves import axes_of, go_to_start_pose
+from viskill_deploy.runtime.operator import asked_while_held
 from viskill_deploy.runtime.planning import Plan, make_plan
 from viskill_deploy.runtime.session import Session
 
 
-def scene_of(session: Session) -> Scene:
-    """Where the things are; raises DriverError where nothing tells."""
-    scene = session.driver.scene()
-    if scene is None:
-        raise DriverError("nothing says where the objects are; give a scene")
-    return scene
+def plan_for(
+    cell: CellDescription,
+    job: Job,
+    state: CellState,
+    scene: Scene,
+    rng: np.random.Generator,
+    subgoals: SubgoalSource | None = None,
+    first: str = "",
+    must_succeed: bool = True,
+) -> Plan:
+    """The plan of a job from where the arms are; in the air, as it is made on the ground.
+
+    Args:
+        cell: the arms in their places, lifted where the job is run in the air.
+        job: what to do.
+        state: where the arms are.
+        scene: where the things are.
+        rng: for the scripted plan's subgoals.
+        subgoals: who gives the subgoals; by default, what the bundle asks for.
+        first: name of the skill to begin with; the task's first by default.
+        must_succeed: whether a plan that does not do the task is refused.
+
+    Raises:
+        MotionError, KinematicsError: there is none, or it does not do the task.
+    """
+    held, stops = axes_of(state), job.stops == "waypoint"
+    measured = held.copy()
+    measured[:, :6] = [arm.measured_jp for arm in state.arms]
+    measured[:, 6] = [arm.jaw_measured_jp for arm in state.arms]
+    ground = job.ground or cell
+    if job.ground is not None:
+        measured = start_axes(job.ground, held)
+    begin = held if job.ground is None else measured
+    plan = make_plan(
+        ground, job.task, job.bundle, measured, begin, scene, rng, subgoals, first,
+        must_succeed, stops,
+    )  # fmt: skip
+    return plan if job.ground is None else over(plan, cell, held, stops)
 
 
 class Attempts:
@@ -54,23 +89,74 @@ class Attempts:
             MotionError, KinematicsError: there is none, or it does not do the task.
             SafetyStop: the gate would step in.
         """
-        session, job, held = self._session, self._job, axes_of(state)
-        measured = held.copy()
-        measured[:, :6] = [arm.measured_jp for arm in state.arms]
-        measured[:, 6] = [arm.jaw_measured_jp for arm in state.arms]
-        plan = make_plan(
-            session.cell,
-            job.task,
-            job.bundle,
-            measured,
-            held,
-            scene,
-            self._rng,
-            self.subgoals,
-            first,
-        )
+        session, job = self._session, self._job
+        plan = plan_for(session.cell, job, state, scene, self._rng, self.subgoals, first)
         session.check(plan, state)
         return plan
+
+    def next(self, boundary: Boundary | None, result: EpisodeResult) -> Plan | None:
+        """What follows an attempt that has ended.
+
+        Args:
+            boundary: at which the runtime did not go on; None where there was none.
+            result: the episode so far.
+
+        Returns:
+            The next attempt's plan; None when there is none, as `again` and `resumed` say.
+        """
+        return self.resumed(result) if boundary is None else self.again(boundary, result)
+
+    def resumed(self, result: EpisodeResult) -> Plan | None:
+        """After a HOLD: planned anew from where the arms are held, once the operator wants it.
+
+        The gate goes on holding the arms until it has seen nothing wrong for a while.
+
+        Returns:
+            None where nothing was held, where it was more than a HOLD, where the operator does not
+            want it, or where there is no plan; `result` says why then.
+        """
+        operator, session = self._job.operator, self._session
+        if not result.stopped_by or operator is None or not result.skills:
+            return None
+        while session.is_held:
+            question = f"held ({result.stopped_by}: {result.reason or 'by the gate'}); resume?"
+            wish = asked_while_held(session, operator, f"{question} [Enter: yes, n: no]")
+            if wish is None or wish.strip():
+                break
+            try:
+                plan = self._replanned(result)
+            except (ViskillError, ValueError) as error:
+                result.reason = f"not resumed: {error}"
+                return None
+            against = session.resume()
+            if not against:
+                result.resumed.append(result.stopped_by)
+                result.stopped_by = result.reason = ""
+                return plan
+            rules = ", ".join(verdict.rule for verdict in against)
+            operator.tell(f"the gate does not let go yet ({rules}); put that right")
+        operator.tell("not resumed: the run ends here")
+        return None
+
+    def _replanned(self, result: EpisodeResult) -> Plan:
+        """From the latest skill that can begin with what the jaws hold now."""
+        session, skills = self._session, self._job.task.skills
+        session.driver.watch.release()  # the arms rest; nothing is sent while the plan is made
+        held, names = held_now(session), [skill.name for skill in skills]
+        first = way_back(skills, names.index(result.skills[-1].start.skill), held)
+        if not first:
+            raise MotionError(
+                "no skill can begin with what the jaws hold; open them by hand and start again"
+            )
+        self._choose_subgoals(held, result)
+        return self.plan(session.read(), session.scene(), first)
+
+    def _choose_subgoals(self, held: tuple[bool, ...], result: EpisodeResult) -> None:
+        """New ones; a skill that goes on with what its jaw holds is told the same."""
+        source: SubgoalSource = subgoal_source(self._job.bundle, self._job.task, self._rng)
+        if any(held):
+            source = KeptSubgoals(self.subgoals, [skill.start for skill in result.skills])
+        self.subgoals = source
 
     def again(self, boundary: Boundary, result: EpisodeResult) -> Plan | None:
         """After a boundary at which the runtime does not go on: the next attempt's plan.
@@ -89,16 +175,14 @@ class Attempts:
         if boundary.course != "retry":
             return None
         held = held_now(session)
-        source: SubgoalSource = subgoal_source(self._job.bundle, self._job.task, self._rng)
-        if any(held):  # the skill goes on with what it has; it is told the same
-            source = KeptSubgoals(self.subgoals, [skill.start for skill in result.skills])
-        self.subgoals, plan = source, None
+        self._choose_subgoals(held, result)
+        plan = None
         session.finish()
         if session.cause:
             result.stopped_by = session.cause
             return None
         try:
-            plan = self.plan(session.read(), scene_of(session), boundary.skill)
+            plan = self.plan(session.read(), session.scene(), boundary.skill)
         except (ViskillError, ValueError) as error:
             result.reason = f"not tried again: {error}"
         try:

@@ -13,14 +13,20 @@ import itertools
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from viskill_deploy.bundle.format import Bundle
+from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import Boundary, GraspTest, SkillStart
 from viskill_deploy.runtime.jaws import SETTLE_S, grasp_test, is_undecided
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.moves import go_to_start_pose, halt, rest
+from viskill_deploy.runtime.operator import Operator
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.sim.tasks.base import SkillSpec, Task
+
+Stops = Literal["nowhere", "skill", "waypoint"]
+"""Before every skill, or before every waypoint, the arms rest until the operator goes on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +36,22 @@ class Job:
     Attributes:
         retries: how often a skill may be tried again where a grasp was lost or the value is low;
             after that, the arms go to their start pose.
+        ground: the cell on whose board the plan is made, where it is run in the air above it.
+        has_things: whether there is something to hold and to look at; if not, nobody asks the jaws
+            or the value, and every skill follows the one before.
+        stops: where the operator is asked to go on.
+        operator: who may resume after a HOLD, and goes on at the stops; None for nobody.
+        retreats: whether the arms go back to their start pose at the end.
     """
 
     bundle: Bundle
     task: Task
     retries: int = 1
+    ground: CellDescription | None = None
+    has_things: bool = True
+    stops: Stops = "nowhere"
+    operator: Operator | None = None
+    retreats: bool = False
 
     @property
     def threshold(self) -> float | None:
@@ -72,8 +89,10 @@ def way_back(skills: Sequence[SkillSpec], ended: int, held: Sequence[bool]) -> s
 
 
 def held_now(session: Session) -> tuple[bool, ...]:
-    """Per arm, whether its jaw holds something."""
+    """Per arm, whether its jaw holds something; none does where its empty angle is not known."""
     arms = session.read().arms
+    if not session.empty_jaw_rad:
+        return (False,) * len(arms)
     return tuple(grasp_test(session, index, arm).holds for index, arm in enumerate(arms))
 
 
@@ -104,6 +123,9 @@ class Boundaries:
             What is decided; None when the gate stepped in, as `result` says then.
         """
         index = self._names.index(start.skill)
+        if not self._job.has_things:
+            after = self._names[index - 1] if index else ""
+            return Boundary(after, start.skill, (), None, None, "go on", start.skill)
         needed = holds_of(self._skills, index - 1, len(self._has))
         tests = self._tests()
         if any(map(operator.and_, needed, self._undecided(tests))):
@@ -130,6 +152,8 @@ class Boundaries:
         Returns:
             None while nothing is lost, and when the gate stepped in, as `result` says then.
         """
+        if not self._job.has_things:
+            return None
         tests = self._tests()
         if may_halt and any(map(operator.and_, self._has, self._undecided(tests))):
             if not self._settled():

@@ -18,15 +18,17 @@ from viskill_deploy.core.types import (
     SkillStart,
     Waypoint,
 )
+from viskill_deploy.motion.plan import Part
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.motion.waypoints import apply_action
-from viskill_deploy.runtime.attempts import Attempts, scene_of
-from viskill_deploy.runtime.boundaries import Boundaries, Job
+from viskill_deploy.runtime.attempts import Attempts
+from viskill_deploy.runtime.boundaries import Boundaries, Job, Stops, held_now
 from viskill_deploy.runtime.jaws import measure_empty_jaws
 from viskill_deploy.runtime.ledger import EpisodeResult, SkillResult
-from viskill_deploy.runtime.moves import axes_of, run_motion
+from viskill_deploy.runtime.moves import axes_of, go_to_start_pose, run_motion
 from viskill_deploy.runtime.planning import Plan
 from viskill_deploy.runtime.session import Session
+from viskill_deploy.runtime.stopping_places import may_go_on
 from viskill_deploy.runtime.thinking import decide
 from viskill_deploy.sim.tasks.base import Task
 
@@ -52,13 +54,13 @@ def closed_loop(
     session.begin()
     seen = _look(session, task)
     attempts = Attempts(session, job, rng)
-    chain = SkillChain(job.bundle, attempts.subgoals)
+    chain: SkillChain | None = SkillChain(job.bundle, attempts.subgoals)
     session.recorder.mark(session.driver.clock.now(), episode, "", 0, seen.scene.active)
-    while (boundary := _run_chain(session, job, chain, result)) is not None:
-        if attempts.again(boundary, result) is None:
-            break
-        chain = SkillChain(job.bundle, attempts.subgoals, boundary.skill)
-    return _ended(session, task, result)
+    while chain is not None:
+        plan = attempts.next(_run_chain(session, job, chain, result), result)
+        first = next(iter(plan.starts)) if plan else ""
+        chain = SkillChain(job.bundle, attempts.subgoals, first) if plan else None
+    return _ended(session, job, result)
 
 
 def _run_chain(
@@ -80,8 +82,10 @@ def _run_chain(
                 boundary = boundaries.before(step.choice.start)
                 if boundary is None or boundary.course != "go on":
                     return boundary
+            if not _is_next(session, job, step, result):
+                return None
             waypoint = step.waypoint
-            _begin_step(session, step, result)
+            _begin_step(session, job, step, result)
         except (ViskillError, ValueError) as error:
             # a policy or a measurement without sense: the gate brings the arms to rest
             session.line.fail(str(error))
@@ -97,12 +101,14 @@ def _run_chain(
     return None
 
 
-def _ended(session: Session, task: Task, result: EpisodeResult) -> EpisodeResult:
+def _ended(session: Session, job: Job, result: EpisodeResult) -> EpisodeResult:
     """The episode's result, judged; the gate is disarmed where it has not stepped in."""
+    if not result.stopped_by and job.retreats and not go_to_start_pose(session, held_now(session)):
+        session.come_to_rest(result)
     if not result.stopped_by:
         session.finish()
         result.stopped_by = session.cause
-        result.success = _judge(session, task)
+        result.success = job.has_things and _judge(session, job.task)
     return result
 
 
@@ -113,6 +119,7 @@ class _Step:
     choice: Choice
     waypoint: Waypoint
     is_last: bool
+    ends_skill: bool
 
 
 def _next_step(job: Job, chain: SkillChain, seen: _Seen, last: Waypoint) -> _Step:
@@ -128,13 +135,21 @@ def _next_step(job: Job, chain: SkillChain, seen: _Seen, last: Waypoint) -> _Ste
         choice.may_open_jaw,
     )
     waypoint = replace(wanted, observation=tuple(seen.observation.tolist()))
-    return _Step(choice, waypoint, chain.finished)
+    return _Step(choice, waypoint, chain.finished, chain.between_skills)
 
 
-def _begin_step(session: Session, step: _Step, result: EpisodeResult) -> None:
+def _is_next(session: Session, job: Job, step: _Step, result: EpisodeResult) -> bool:
+    """Whether the step may begin, as the operator says where they are asked."""
+    choice = step.choice
+    place: Stops = "waypoint" if choice.step else "skill"
+    return may_go_on(session, job, place, f"{choice.skill}, step {choice.step + 1}", result)
+
+
+def _begin_step(session: Session, job: Job, step: _Step, result: EpisodeResult) -> None:
     choice = step.choice
     skill = _note_step(session, result, choice.start, choice.step)
-    skill.stretch_max = max(skill.stretch_max, session.go_to(step.waypoint, last=step.is_last))
+    rests = step.is_last or job.stops == "waypoint" or (step.ends_skill and job.stops == "skill")
+    skill.stretch_max = max(skill.stretch_max, session.go_to(step.waypoint, last=rests))
 
 
 def _note_step(
@@ -152,16 +167,15 @@ def planned(session: Session, job: Job, rng: np.random.Generator, episode: int) 
     """Makes the whole plan in a simulator, checks it, and only then streams it, skill by skill."""
     result = EpisodeResult(episode)
     session.make_ready()
-    if not measure_empty_jaws(session, result):
+    if job.has_things and not measure_empty_jaws(session, result):
         return result
-    attempts, scene = Attempts(session, job, rng), scene_of(session)
+    attempts, scene = Attempts(session, job, rng), session.scene()
     plan: Plan | None = attempts.plan(session.driver.state(), scene)
     session.begin()
     session.recorder.mark(session.driver.clock.now(), episode, "", 0, scene.active)
     while plan is not None:
-        boundary = _stream(session, job, plan, result)
-        plan = None if boundary is None else attempts.again(boundary, result)
-    return _ended(session, job.task, result)
+        plan = attempts.next(_stream(session, job, plan, result), result)
+    return _ended(session, job, result)
 
 
 def _stream(session: Session, job: Job, plan: Plan, result: EpisodeResult) -> Boundary | None:
@@ -174,28 +188,57 @@ def _stream(session: Session, job: Job, plan: Plan, result: EpisodeResult) -> Bo
             boundary = boundaries.before(start)
             if boundary is None or boundary.course != "go on":
                 return boundary
-            session.line.follow(plan.part(start.skill))
         except (ViskillError, ValueError) as error:
             session.line.fail(str(error))
-        lost = _stream_skill(session, plan, start, result, boundaries)
+        lost = _stream_skill(session, job, plan, start, result, boundaries)
         if lost is not None or result.stopped_by:
             return lost
-        _judge_skill(session, job.task, result)
+        if job.has_things:
+            _judge_skill(session, job.task, result)
     return None
 
 
 def _as_seen(session: Session, job: Job, start: SkillStart) -> SkillStart:
     """A skill's start of a plan, with the value as it is seen now instead of in the simulator."""
+    if not job.has_things:
+        return start
     seen = _look(session, job.task)
     return replace(start, value=value_at(job.bundle, start, seen.observation, seen.scene))
 
 
 def _stream_skill(
-    session: Session, plan: Plan, start: SkillStart, result: EpisodeResult, boundaries: Boundaries
+    session: Session,
+    job: Job,
+    plan: Plan,
+    start: SkillStart,
+    result: EpisodeResult,
+    boundaries: Boundaries,
 ) -> Boundary | None:
     """Streams one skill of a plan; returns what `_run_chain` does."""
-    index = first = plan.first_of(start.skill) - 1
-    began = plan.motion.waypoint_times[first]
+    for number, part in enumerate(plan.parts(start.skill, job.stops == "waypoint")):
+        place: Stops = "waypoint" if number else "skill"
+        what = f"{start.skill}, waypoint {number + 1}" if number else start.skill
+        if not session.line.fault:
+            if not may_go_on(session, job, place, what, result):
+                return None
+            session.line.follow(part)
+        lost = _stream_part(session, plan, part, start, result, boundaries)
+        if lost is not None or result.stopped_by:
+            return lost
+    return None
+
+
+def _stream_part(
+    session: Session,
+    plan: Plan,
+    part: Part,
+    start: SkillStart,
+    result: EpisodeResult,
+    boundaries: Boundaries,
+) -> Boundary | None:
+    """Streams a part of a skill, from rest to rest; returns what `_run_chain` does."""
+    began = part.start_s
+    index = plan.index_at(began)
     while True:
         ahead = plan.index_at(began + session.line.phase + session.driver.period_s)
         if ahead != index and plan.waypoints[ahead].skill == start.skill:
@@ -235,7 +278,7 @@ def _judge_skill(session: Session, task: Task, result: EpisodeResult) -> None:
 
 
 def _look(session: Session, task: Task) -> _Seen:
-    state, scene = session.read(), scene_of(session)
+    state, scene = session.read(), session.scene()
     jaws, tips = [arm.jaw_measured_jp for arm in state.arms], session.tips(state)
     return _Seen(state, scene, tips, task.observe(tips, jaws, scene))
 
@@ -244,4 +287,4 @@ def _judge(session: Session, task: Task) -> bool:
     """Task success by the simulator's truth; False where nobody can tell."""
     if not session.driver.capabilities.simulated:
         return False
-    return task.success(session.driver.active_object(), scene_of(session))
+    return task.success(session.driver.active_object(), session.scene())

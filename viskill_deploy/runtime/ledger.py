@@ -43,6 +43,7 @@ class EpisodeResult:
         refused: why nothing was moved at all; "" if it was.
         retries: how often a skill was tried again.
         boundaries: what was decided between the skills, in order.
+        resumed: ids of the rules that held the arms, where the operator let the run go on.
     """
 
     episode: int
@@ -54,6 +55,7 @@ class EpisodeResult:
     skills: list[SkillResult] = field(default_factory=list)
     retries: int = 0
     boundaries: list[Boundary] = field(default_factory=list)
+    resumed: list[str] = field(default_factory=list)
 
     def skill(self, start: SkillStart) -> tuple[SkillResult, bool]:
         """The entry of the running skill, and whether it was made for this: the skill begins."""
@@ -172,5 +174,6 @@ def _episode(result: EpisodeResult) -> dict[str, Any]:
             for skill in result.skills
         ],
         "retries": result.retries,
+        "resumed": list(result.resumed),
         "boundaries": [asdict(boundary) for boundary in result.boundaries],
     }

@@ -9,9 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import CellState, FloatArray, Waypoint
 from viskill_deploy.motion.resolve import densified, waypoint_at
 from viskill_deploy.motion.waypoints import WORKSPACE_INSET_M, start_waypoint
+from viskill_deploy.runtime.planning import Plan
 from viskill_deploy.runtime.session import Session
 
 
@@ -62,15 +64,22 @@ def close_jaws(session: Session) -> bool:
 
 
 def go_to_start_pose(session: Session, held: tuple[bool, ...]) -> bool:
-    """Takes arms at rest to their start pose: straight up first, then across.
+    """Takes arms at rest to their start pose.
 
     Args:
         session: the arms.
         held: per arm, whether its jaw holds something. Such a jaw stays as it is; the others close
             at the end, where nothing is near.
     """
-    cell = session.cell
-    here, start = waypoint_at(cell, axes_of(session.read())), start_waypoint(cell)
+    here = waypoint_at(session.cell, axes_of(session.read()))
+    return go_through(session, way_to_start(session.cell, here, held))
+
+
+def way_to_start(
+    cell: CellDescription, here: Waypoint, held: tuple[bool, ...] = ()
+) -> list[Waypoint]:
+    """The way to the start pose: straight up first, then across; jaws that hold nothing close."""
+    start, held = start_waypoint(cell), held or (False,) * len(cell.arms)
     raised = []
     for pose, goal, arm in zip(here.T_task_tip, start.T_task_tip, cell.arms, strict=True):
         up = np.array(pose)
@@ -82,4 +91,15 @@ def go_to_start_pose(session: Session, held: tuple[bool, ...]) -> bool:
     )
     above = replace(here, T_task_tip=tuple(raised))
     across = replace(start, jaw=here.jaw)
-    return go_through(session, [here, above, across, replace(start, jaw=jaws)])
+    return [here, above, across, replace(start, jaw=jaws)]
+
+
+def stream(session: Session, plan: Plan) -> bool:
+    """Streams a whole plan that starts where the arms are."""
+    session.line.follow(plan.motion)
+    while not session.line.arrived:
+        ahead = plan.index_at(session.line.phase + session.driver.period_s)
+        session.allow(plan.waypoints[ahead])
+        if not session.cycle():
+            return False
+    return True

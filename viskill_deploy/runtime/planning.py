@@ -56,12 +56,21 @@ class Plan:
         """Index of a skill's first waypoint."""
         return next(i for i, waypoint in enumerate(self.waypoints) if waypoint.skill == skill)
 
-    def part(self, skill: str) -> Part:
-        """A skill's stretch of the motion, from rest to rest."""
+    def parts(self, skill: str, stops_everywhere: bool = False) -> tuple[Part, ...]:
+        """A skill's stretch of the motion, from rest to rest; as one, or from waypoint to waypoint.
+
+        Args:
+            skill: its name.
+            stops_everywhere: the arms are to rest at every waypoint; the plan was made so.
+        """
         count = sum(waypoint.skill == skill for waypoint in self.waypoints)
         first, times = self.first_of(skill), self.motion.waypoint_times
-        start_s = times[first - 1]
-        return Part(self.motion, start_s, times[first + count - 1] - start_s)
+        ends = range(first, first + count) if stops_everywhere else [first + count - 1]
+        starts = [first - 1, *ends[:-1]]
+        return tuple(
+            Part(self.motion, times[a], times[b] - times[a])
+            for a, b in zip(starts, ends, strict=True)
+        )
 
     def index_at(self, time_s: float) -> int:
         """Index of the waypoint that the plan is on its way to at a time of its own."""
@@ -123,6 +132,7 @@ def make_plan(
     subgoals: SubgoalSource | None = None,
     first: str = "",
     must_succeed: bool = True,
+    rests_everywhere: bool = False,
 ) -> Plan:
     """Lets the policy do the task in a simulator and smooths what it did.
 
@@ -139,6 +149,7 @@ def make_plan(
         subgoals: who gives the subgoals; by default, what the bundle asks for.
         first: name of the skill to begin with; the task's first by default.
         must_succeed: whether a plan that does not do the task is refused.
+        rests_everywhere: whether the arms rest at every waypoint.
 
     Raises:
         MotionError: the trajectory cannot be resolved or smoothed inside the limits, or does not
@@ -160,8 +171,9 @@ def make_plan(
         waypoints.append(replace(loop.waypoint, observation=seen))
     dense = densified(waypoints)
     q = resolve(cell, dense[1:], held.tolist())
-    changes = [i for i in range(1, len(dense) - 1) if dense[i].skill != dense[i + 1].skill]
-    motion = smooth(cell, q, cell.file.motion.step_s, rests=changes)
+    inner = range(1, len(dense) - 1)
+    rests = [i for i in inner if rests_everywhere or dense[i].skill != dense[i + 1].skill]
+    motion = smooth(cell, q, cell.file.motion.step_s, rests=rests)
     succeeds = loop.success()
     if must_succeed and not succeeds:
         raise MotionError(

@@ -13,7 +13,7 @@ from viskill_deploy.core.errors import DataFileError
 from viskill_deploy.core.types import Waypoint
 from viskill_deploy.motion.trajectory import read_plan
 from viskill_deploy.runtime.ledger import EpisodeResult
-from viskill_deploy.runtime.moves import axes_of
+from viskill_deploy.runtime.moves import axes_of, stream
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.runtime.trajectory import plan_waypoints
 from viskill_deploy.sim.tasks.base import Task, load_task, task_names
@@ -92,12 +92,9 @@ def followed(session: Session, waypoints: Sequence[Waypoint], episode: int) -> E
     session.check(plan, state)
     session.begin()
     session.recorder.mark(session.driver.clock.now(), episode, "trajectory", 0)
-    session.line.follow(plan.motion)
-    while not session.line.arrived:
-        session.allow(plan.waypoints[plan.index_at(session.line.phase + session.driver.period_s)])
-        if not session.cycle():
-            session.come_to_rest(result)
-            return result
+    if not stream(session, plan):
+        session.come_to_rest(result)
+        return result
     session.finish()
     result.stopped_by = session.cause
     result.success = not result.stopped_by

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 from types import TracebackType
@@ -19,6 +18,8 @@ from viskill_deploy.core.types import (
     Mode,
     ObservationRange,
     Request,
+    Scene,
+    Verdict,
     Waypoint,
 )
 from viskill_deploy.drivers.base import Driver
@@ -27,7 +28,9 @@ from viskill_deploy.runtime.consent import Consent, consent_of
 from viskill_deploy.runtime.ledger import EpisodeResult, Ledger
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.planning import Plan
+from viskill_deploy.runtime.poses import Things
 from viskill_deploy.runtime.record import Recorder
+from viskill_deploy.runtime.scene_watch import SceneWatch
 from viskill_deploy.safety.decision import Decision
 from viskill_deploy.safety.supervisor import Supervisor
 
@@ -40,9 +43,6 @@ SIMULATED = "simulated"
 READY_PERIODS = 50
 """Control periods that the arms get, at least, to become READY."""
 
-SCENE_PERIOD_S = 0.02
-"""The objects are recorded at 50 Hz."""
-
 LAST_CYCLES = 5
 """The last sample of a motion that ends at rest still moves by a micrometre; more are sent."""
 
@@ -50,6 +50,9 @@ MISSED = 2
 """Cycles whose setpoints may fail to arrive, one after the other, before the rest of them are kept
 back. An arm that has heard nothing for longer is at rest where it was: what the gate says by then
 would be a leap for it."""
+
+SURE_S = 0.3
+"""Before a HOLD is cleared the gate looks on for this long, and more than its own clean while."""
 
 STOP_S = 2.0
 """Time that the gate's own stop gets before the session gives up waiting for rest."""
@@ -65,6 +68,7 @@ class Session:
         recorder: where the run is recorded.
         training: what the policy has seen in training; None where no policy is asked.
         consent: who lets the arms move; by default, the driver's simulated operator.
+        things: who knows where the things are; by default, the driver.
 
     Raises:
         DriverError: the driver's time goes on by itself, and it brings no watchdog.
@@ -85,14 +89,15 @@ class Session:
         recorder: Recorder,
         training: ObservationRange | None = None,
         consent: Consent | None = None,
+        things: Things | None = None,
     ) -> None:
         if isinstance(driver.watch, OwnTime) and not driver.capabilities.stepped:
             raise DriverError("a driver whose time goes on without us needs a watchdog; add one")
         self.cell, self.driver, self.line, self.recorder = cell, driver, line, recorder
         self.gate = Supervisor(cell, driver.period_s, training, line.speed)
         self._consent = consent or consent_of(driver)
+        self._scenes = SceneWatch(driver, things, recorder)
         self.ledger = Ledger(cell, driver.period_s, self.gate.rules)
-        self._scene_due_s = 0.0
         self.overruns, self.cause, self.trouble = 0, "", ""
         self.thinking_s: Callable[[], float] = lambda: 0.0
         self._deadline, self._missed = 0.0, 0
@@ -161,6 +166,10 @@ class Session:
         except ViskillError:
             self._stand_easy()
             raise
+        self._set_out(state)
+
+    def _set_out(self, state: CellState) -> None:
+        """The gate lets the arms move from here on."""
         self.line.start(state)
         self._state, self._waypoint, self._missed = state, None, 0
         self.cause = self.trouble = ""
@@ -255,11 +264,33 @@ class Session:
         tips = self.tips(state) if decision.action < Action.FAULT else None
         gone_out = () if self._missed else sent
         self.recorder.cycle(now, state, request, gone_out, decision.action, verdicts, mode, tips)
-        self._record_scene(now)
+        self._follow_things(now, state)
+        self._scenes.record(now)
         self.ledger.cycle(sent, decision.action, decision.margins)
         self.line.advance(decision.speed_scale)
         self._wait_for_next_period()
         return decision.passed
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the gate holds the arms, and for nothing worse: an operator may resume."""
+        return self.gate.latched is Action.HOLD
+
+    def resume(self) -> tuple[Verdict, ...]:
+        """The operator clears a HOLD; the line stands where the arms are held.
+
+        Returns:
+            What the gate has against it; empty when the run may go on.
+        """
+        if not self.driver.capabilities.stepped:
+            realtime.prepare()
+        for _ in range(round(SURE_S / self.driver.period_s)):
+            self.cycle()
+        state = self.read()
+        against = self.gate.resume(state, self.driver.clock.now())
+        if not against:
+            self._set_out(state)
+        return against
 
     def come_to_rest(self, result: EpisodeResult | None = None) -> None:
         """After the gate has stepped in: lets its stop run out, and notes the cause."""
@@ -340,13 +371,17 @@ class Session:
             [arm.jaw_measured_jp > HOLDING_RAD > arm.jaw_setpoint_jp for arm in state.arms]
         )
 
-    def _record_scene(self, now: float) -> None:
-        if self.driver.capabilities.sees_scene and now >= self._scene_due_s - 1e-9:
-            self._scene_due_s = now + SCENE_PERIOD_S
-            with contextlib.suppress(DriverError):  # the next reading of the state reports it
-                scene = self.driver.scene()
-                if scene is not None:
-                    self.recorder.scene(now, scene)
+    def scene(self) -> Scene:
+        """Where the things are; raises DriverError where nothing tells, or not any more."""
+        return self._scenes.scene()
+
+    def _follow_things(self, now: float, state: CellState) -> None:
+        """What is not seen for too long ends the motion."""
+        if self._scenes.has_things and not (self._is_stopping or self.line.fault):
+            try:
+                self._scenes.follow(now, self.tips(state), self._holding(state))
+            except DriverError as error:
+                self.line.fail(str(error))
 
     def _wait_for_next_period(self) -> None:
         # a clock that has gone back (S21) must not let the arms wait for it to catch up
