@@ -13,6 +13,7 @@ from viskill_deploy.core.types import PSM_JOINTS, Action, CellState, JointSetpoi
 from viskill_deploy.drivers import loopback, loopback_served
 from viskill_deploy.drivers.base import DISABLED, ENABLED, Driver
 from viskill_deploy.drivers.can import simulated as can
+from viskill_deploy.drivers.can.config import load_can
 from viskill_deploy.drivers.crtk import simulated as crtk
 from viskill_deploy.safety.checked import CheckedSetpoint
 from viskill_deploy.safety.supervisor import Supervisor
@@ -20,11 +21,22 @@ from viskill_deploy.sim.tasks.base import load_task
 from viskill_deploy.sim.world import WorldOptions
 
 CELL = load_cell("bipegtransfer")
+
+
+def served_can() -> Driver:
+    """Over `udp_multicast`, with time for heartbeats on a machine that runs other tests as well."""
+    file = can.on_own_groups(load_can("bipegtransfer", CELL))
+    slow = file.model_copy(update={"heartbeat_s": 0.3})
+    made = can.ServedCan(CELL, slow, WorldOptions(period_s=0.01))
+    made.connect()
+    return made
+
+
 DRIVERS: dict[str, Callable[[], Driver]] = {
     "loopback": lambda: loopback.connect(CELL),
     "CAN, stepped": lambda: can.connect(CELL),
     "CRTK, stepped": lambda: crtk.connect(CELL),
-    "CAN, served": lambda: can.connect_served(CELL, WorldOptions(period_s=0.01)),
+    "CAN, served": served_can,
     "served loopback": lambda: loopback_served.connect(CELL, WorldOptions(period_s=0.01)),
 }
 SETTLE = 30

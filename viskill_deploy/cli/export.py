@@ -1,4 +1,4 @@
-"""`viskill export`: a training run as a policy bundle, or a plan for somebody else's player."""
+"""`viskill export`: a training run as a bundle, a plan for another player, CAN for other tools."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ from viskill_deploy.runtime.trajectory import plan_waypoints
 EXAMPLE = "Example: viskill export runs/viskill policies/bipegtransfer-viskill"
 TRAJECTORY_EXAMPLE = "Example: viskill export trajectory mine.plan.json mine.csv --rate 1000"
 
+CAN_EXAMPLE = "Example: viskill export can bipegtransfer can-files"
+
 
 class _RunFirst(TyperGroup):
     """`viskill export RUN OUT` needs no name of a command."""
@@ -37,7 +39,7 @@ class _RunFirst(TyperGroup):
 app = typer.Typer(
     cls=_RunFirst,
     no_args_is_help=True,
-    help="Export a training run as a policy bundle, or a plan for your own player.",
+    help="Export a training run as a policy bundle, or a plan or CAN files for your own tools.",
 )
 
 
@@ -98,3 +100,18 @@ def trajectory(
     ]
     write_joint_plan(output, 1.0 / rate, table, arms)
     print(f"{len(table)} setpoints an arm, {motion.duration_s:.2f} s: {output}")
+
+
+@app.command("can", epilog=CAN_EXAMPLE)
+def can(
+    file: Annotated[
+        str, typer.Argument(help="CAN file: a name in robots/can, or the path of a TOML file.")
+    ],
+    output: Annotated[Path, typer.Argument(help="Folder for the files.")],
+) -> None:
+    """Write a DBC of every bus and a DCF (EDS with values) of every drive, for your own tools."""
+    from viskill_deploy.drivers.can.config import load_with_cell  # noqa: PLC0415 - as below
+    from viskill_deploy.drivers.can.export import export  # noqa: PLC0415 - `export` is taken here
+
+    written = export(load_with_cell(file)[0], output)
+    print("\n".join(map(str, written)))

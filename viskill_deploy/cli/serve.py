@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from viskill_deploy.cli import serve_can
 from viskill_deploy.core.clock import MonotonicClock
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.drivers.crtk.opening import LOOPBACK, Network, open_transport
@@ -65,9 +66,7 @@ class Announcer:
             print(f"{arm}: {what.state}{''.join(more)}", flush=True)
 
 
-@app.callback()
-def _robots() -> None:
-    """Serve a simulated robot that other programs can talk to."""
+app.command("can", epilog=serve_can.EXAMPLE)(serve_can.command)
 
 
 @app.command("crtk", epilog=EXAMPLE)

@@ -8,7 +8,9 @@ import canopen
 import cantools
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from viskill_deploy.cli.export import app
 from viskill_deploy.core import data
 from viskill_deploy.core.description import load_cell, load_robot
 from viskill_deploy.core.errors import DataFileError, DriverError
@@ -16,7 +18,6 @@ from viskill_deploy.core.robot_files import ToolFile, read_toml, validated
 from viskill_deploy.drivers.can.codec import Cia402Codec, Control, Drive, drive_state
 from viskill_deploy.drivers.can.config import AXES, Bus, CanFile, load_can
 from viskill_deploy.drivers.can.coupling import Gearing, actuator_ranges
-from viskill_deploy.drivers.can.export import export
 from viskill_deploy.drivers.can.load import BusTraffic, check_load, classic_bits
 from viskill_deploy.drivers.can.objects import axis_objects, final
 
@@ -195,8 +196,9 @@ def test_every_safety_object_of_a_drive_is_among_those_written_with_its_value() 
 
 
 def test_other_tools_read_the_exported_files(tmp_path: Path) -> None:
-    written = export(FILE, tmp_path)
-    assert len(written) == 16
+    done = CliRunner().invoke(app, ["can", "bipegtransfer", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert len(done.output.split()) == len(list(tmp_path.iterdir())) == 16
     dictionary = canopen.import_od(str(tmp_path / "PSM1-pitch.dcf"))
     assert dictionary.node_id == 2
     for entry in final(axis_objects(FILE, FILE.bus[0].axis[1], 1 / FILE.cycle_hz)):

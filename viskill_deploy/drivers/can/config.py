@@ -7,12 +7,13 @@ coupling matrix in the instrument's own file.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from viskill_deploy.core import data
-from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import DataFileError, DriverError
 from viskill_deploy.core.robot_files import Positive, Table, read_toml
 from viskill_deploy.core.types import PSM_JOINTS
@@ -23,6 +24,7 @@ AXES = (*PSM_JOINTS, "jaw")
 """Axes of an arm in order; the last four drive the instrument through its coupling."""
 
 INT32 = 2**31
+Interface = Literal["virtual", "udp_multicast", "socketcan"]
 NodeId = Annotated[int, Field(ge=1, le=127)]
 
 
@@ -169,7 +171,7 @@ class CanFile(Table):
     schema_version: Literal[1] = Field(alias="schema")
     name: str
     cell: str
-    interface: Literal["virtual", "udp_multicast", "socketcan"]
+    interface: Interface
     cycle_hz: Annotated[float, Field(ge=100, le=1000)]
     heartbeat_s: Annotated[float, Field(ge=0.01, le=0.5)]
     watchdog_s: Annotated[float, Field(ge=0.005, le=0.05)]
@@ -214,14 +216,40 @@ INPUT_PERIOD_S = 0.02
 """An input node repeats its word 50 times a second."""
 
 
-def load_can(name: str, cell: CellDescription) -> CanFile:
-    """The CAN file `name` of `robots/can/`, held against its cell.
+def load_can(name: str, cell: CellDescription, interface: Interface | None = None) -> CanFile:
+    """A CAN file, held against its cell.
+
+    Args:
+        name: `robots/can/<name>.toml`, or the path of a TOML file.
+        cell: the cell that it is for.
+        interface: what the buses are, if not what the file says.
 
     Raises:
         DataFileError: the file is wrong or does not fit the cell.
     """
-    path = data.find(f"robots/can/{name}.toml")
+    path = _path(name)
     file = read_toml(path, CanFile)
+    _hold_against(path, file, cell)
+    return file.model_copy(update={"interface": interface}) if interface else file
+
+
+def load_with_cell(
+    name: str, interface: Interface | None = None
+) -> tuple[CanFile, CellDescription]:
+    """A CAN file and the cell that it names.
+
+    Raises:
+        DataFileError: either is wrong, or they do not fit.
+    """
+    cell = load_cell(read_toml(_path(name), CanFile).cell)
+    return load_can(name, cell, interface), cell
+
+
+def _path(name: str) -> Path:
+    return Path(name) if name.endswith(".toml") else data.find(f"robots/can/{name}.toml")
+
+
+def _hold_against(path: Path, file: CanFile, cell: CellDescription) -> None:
     if file.cell != cell.name:
         raise DataFileError(path, "cell", f"is {file.cell!r}; this run is in {cell.name!r}")
     arms = [arm.name for arm in cell.arms]
@@ -238,4 +266,3 @@ def load_can(name: str, cell: CellDescription) -> CanFile:
                     f"limits {lower:.4g} to {upper:.4g} are wider than {arm.arm.tool} can use "
                     f"({low:.4g} to {high:.4g}); narrow them",
                 )
-    return file

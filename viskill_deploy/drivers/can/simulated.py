@@ -120,12 +120,12 @@ def _private(file: CanFile, number: int) -> CanFile:
     return _on(file, "virtual", channels)
 
 
-def _shared(file: CanFile, number: int) -> CanFile:
+def on_own_groups(file: CanFile) -> CanFile:
     """The same file on multicast groups that hardly any other process uses.
 
     One that does is another master, which stops both.
     """
-    first = os.getpid() * MOST_BUSES + number * len(file.bus)
+    first = os.getpid() * MOST_BUSES + next(_numbers) * len(file.bus)
     groups = [str(FIRST_GROUP + (first + i) % GROUPS) for i in range(len(file.bus))]
     return _on(file, "udp_multicast", groups)
 
@@ -184,7 +184,7 @@ def connect_served(
     cell: CellDescription, options: WorldOptions | None = None, seed: int = 0, name: str = ""
 ) -> Driver:
     """Connected drives in a process of their own, over `udp_multicast`."""
-    file = _shared(load_can(name or cell.name, cell), next(_numbers))
+    file = on_own_groups(load_can(name or cell.name, cell))
     driver = ServedCan(cell, file, options, seed)
     driver.connect()
     return driver
