@@ -10,8 +10,9 @@ from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DriverError
 from viskill_deploy.drivers.can.config import CanFile
 from viskill_deploy.drivers.can.simulated_cell import DriveCell
+from viskill_deploy.drivers.crtk.serving import set_up
 from viskill_deploy.drivers.loopback_cell import LoopbackCell
-from viskill_deploy.sim.world import World, WorldOptions
+from viskill_deploy.sim.world import WorldOptions
 
 ORDERS = "consent, no consent, estop, no estop, break PSM1/yaw stuck (or slip), mend"
 """What the operator may type."""
@@ -28,7 +29,7 @@ def drive_cell(cell: CellDescription, file: CanFile, seed: int = 0) -> DriveCell
             "virtual buses end in their process, nobody could come; choose udp_multicast or "
             "socketcan with --interface"
         )
-    world = World(cell, WorldOptions(period_s=1.0 / file.cycle_hz), seed)
+    world = set_up(cell, seed, WorldOptions(period_s=1.0 / file.cycle_hz))
     return DriveCell(LoopbackCell(world), file)
 
 

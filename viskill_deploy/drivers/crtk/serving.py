@@ -8,17 +8,18 @@ from viskill_deploy.core.clock import Clock
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.drivers.crtk.simulated_cell import CrtkCell
 from viskill_deploy.sim.tasks.base import load_task, task_names
-from viskill_deploy.sim.world import World
+from viskill_deploy.sim.world import World, WorldOptions
 
 
-def set_up(cell: CellDescription, seed: int) -> World:
+def set_up(cell: CellDescription, seed: int, options: WorldOptions | None = None) -> World:
     """A world with the arms in their start pose and the things where the cell's task puts them.
 
     Args:
         cell: the cell; one without a task of its name has its things where its scene has them.
         seed: of their places.
+        options: period and what is not perfect.
     """
-    world = World(cell, seed=seed)
+    world = World(cell, options, seed)
     layout = world.scene()
     if cell.name in task_names():
         dice = np.random.default_rng(seed)
