@@ -211,9 +211,10 @@ class ArmOnWire:
         self._tell(self.arm.name, event)
 
     def _read(self, state: ArmState, stamp_ns: int) -> None:
-        if self.is_silent or (self.is_invalid and self._options.version != "2.4"):
+        if self.is_silent:
             return
         stamp = Time() if self.is_invalid else Time.of_ns(stamp_ns)
-        reading = Reading(self.arm, state, stamp)
+        reading, says_invalid = Reading(self.arm, state, stamp), self._options.version == "2.4"
         for topic in self._listened:
-            self._publish[topic](self.spoil(topic, reading.message(topic)))
+            if says_invalid or reading.is_valid(topic):
+                self._publish[topic](self.spoil(topic, reading.message(topic)))

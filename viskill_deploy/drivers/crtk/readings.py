@@ -55,6 +55,10 @@ class Reading:
                 return self._js(("jaw",), (self._held.jaw,), ())
         return self._cartesian(topic)
 
+    def is_valid(self, topic: str) -> bool:
+        """Whether a topic's message means anything; without an instrument poses do not."""
+        return self._stamp != Time() and (bool(self._arm.tool) or topic.endswith("_js"))
+
     def _cartesian(self, topic: str) -> Any:
         cartesian, q, base = self._arm.cartesian, self._state.measured_jp, f"{self._arm.name}_base"
         match topic:
@@ -87,8 +91,8 @@ class Reading:
         return self._arm.cartesian.local(self._held.jp)
 
     def _header(self, frame: str = "") -> Header:
-        is_valid = bool(self._arm.tool) or not frame
-        return Header(self._stamp if is_valid else Time(), frame)
+        is_known = bool(self._arm.tool) or not frame
+        return Header(self._stamp if is_known else Time(), frame)
 
     def _js(self, names: tuple[str, ...], q: Joints, v: Joints) -> JointState:
         return JointState(self._header(), names, q, v, NO_EFFORT[: len(names)])

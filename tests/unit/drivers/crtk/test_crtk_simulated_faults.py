@@ -230,6 +230,16 @@ def test_without_its_instrument_an_arm_has_seven_actuators_no_pose_and_does_not_
     assert rig.measured() == pytest.approx(where, abs=1e-3)
 
 
+def test_2_3_says_no_poses_without_an_instrument() -> None:
+    rig = ready("2.3")
+    rig.server.cause("tool", "PSM1", True)
+    rig.run(PERIOD_S)
+    rig.client.forget()
+    rig.run(0.1)
+    assert rig.client.all("measured_cp") == rig.client.all("body/jacobian") == []
+    assert rig.client.all("measured_js")
+
+
 def test_an_instrument_can_be_emulated_and_named(rig: Rig) -> None:
     rig.client.send("emulate_tool_present", Bool(False))
     rig.run(0.02)
