@@ -28,6 +28,7 @@ unit: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal --cov --cov-report= \
 	  -m "not slow and not faults and not ros1 and not ros2"
 	OMP_NUM_THREADS=1 .venv-ros1/bin/python -m pytest --cov --cov-append --cov-report= -m ros1 tests/ros
+	OMP_NUM_THREADS=1 .venv-ros2/bin/python -m pytest --cov --cov-append --cov-report= -m ros2 tests/ros
 	$(BIN)/coverage html -q
 	$(BIN)/coverage report --fail-under=90 | tail -n 25
 	$(BIN)/coverage report --include='viskill_deploy/safety/*' --fail-under=100

@@ -19,7 +19,12 @@ from viskill_deploy.drivers.crtk.transport import Transport
 
 DISCOVERY_S = 30.0
 
-pytestmark = pytest.mark.parametrize("name", ["dds", pytest.param("ros1", marks=pytest.mark.ros1)])
+TRANSPORTS = (
+    "dds",
+    pytest.param("ros1", marks=pytest.mark.ros1),
+    pytest.param("ros2", marks=pytest.mark.ros2),
+)
+pytestmark = pytest.mark.parametrize("name", TRANSPORTS)
 
 
 @pytest.fixture
@@ -64,18 +69,23 @@ def wait_until(holds: Callable[[], bool], seconds: float = DISCOVERY_S) -> None:
 
 def test_every_message_comes_back_bit_for_bit(node: Transport, name: str) -> None:
     with peer(name, "echo", DOMAIN):
-        for topic in crtk_samples.TOPICS:
-            there = node.publisher(f"/there/{topic.name}", topic.message)
-            ear, bits = Ear(), encoder(topic.message)
-            node.subscribe(f"/back/{topic.name}", topic.message, ear)
-            sent = [crtk_samples.sample(topic.message, seed) for seed in range(5)]
-            knock(lambda there=there, sent=sent: there(sent[0]), ear)
-            for word in sent[1:]:
-                before = len(ear.words)
-                there(word)
-                ear.wait_for(before + 1)
-            heard = ear.words[-len(sent) :]
-            assert [bits(word) for word in heard] == [bits(word) for word in sent]
+        there_and_back(node)
+
+
+def there_and_back(node: Transport) -> None:
+    """Sends every message to a peer that echoes, and compares what comes back."""
+    for topic in crtk_samples.TOPICS:
+        there = node.publisher(f"/there/{topic.name}", topic.message)
+        ear, bits = Ear(), encoder(topic.message)
+        node.subscribe(f"/back/{topic.name}", topic.message, ear)
+        sent = [crtk_samples.sample(topic.message, seed) for seed in range(5)]
+        knock(lambda there=there, sent=sent: there(sent[0]), ear)
+        for word in sent[1:]:
+            before = len(ear.words)
+            there(word)
+            ear.wait_for(before + 1)
+        heard = ear.words[-len(sent) :]
+        assert [bits(word) for word in heard] == [bits(word) for word in sent]
 
 
 def knock(say: Callable[[], None], ear: Ear) -> None:

@@ -1,7 +1,7 @@
 """A node of CRTK in a process of its own, for the tests of transports; ends when its input does.
 
 What it does is its second argument: "echo" sends back what comes, "latch" has said three words,
-"serve" answers services.
+"serve" answers services. As "rclpy" it echoes without any of our transports.
 """
 
 import ctypes
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import IO
 
 import crtk_samples
+import rclpy_echo
 
 from viskill_deploy.drivers.crtk.messages import (
     ForwardKinematicsRequest,
@@ -120,12 +121,16 @@ def peer(name: str, work: str, domain: int) -> Iterator["tuple[subprocess.Popen[
 def main() -> None:
     """Works until the input ends, then tells its stray sockets."""
     name, work, domain = sys.argv[1:]
-    node = open_transport(name, Network(int(domain), LOOPBACK, "peer"))
-    {"echo": echo, "latch": latch, "serve": serve}[work](node)
+    if name == "rclpy":
+        close = rclpy_echo.start(int(domain))
+    else:
+        node = open_transport(name, Network(int(domain), LOOPBACK, "peer"))
+        {"echo": echo, "latch": latch, "serve": serve}[work](node)
+        close = node.close
     print("ready", flush=True)
     sys.stdin.read()
     print(json.dumps(strays()), flush=True)
-    node.close()
+    close()
 
 
 if __name__ == "__main__":

@@ -35,17 +35,9 @@ from viskill_deploy.core.clock import MonotonicClock, wall_ns
 from viskill_deploy.core.errors import DriverError
 from viskill_deploy.drivers.crtk.cdr import decoder, encoder
 from viskill_deploy.drivers.crtk.dds_types import carrier
+from viskill_deploy.drivers.crtk.interfaces import cyclone_settings, is_loopback
 from viskill_deploy.drivers.crtk.loopback_only import confine
 from viskill_deploy.drivers.crtk.transport import EVENTS_KEPT, M, Q, R, TransportName, hand_over
-
-LOCAL = """<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast><Interfaces>
-<NetworkInterface address="{0}" multicast="false"/></Interfaces></General>
-<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
-<Peers><Peer address="{0}"/></Peers></Discovery></Domain></CycloneDDS>"""
-"""One machine only: nothing leaves it, and others on it are found by their port numbers."""
-
-REMOTE = """<CycloneDDS><Domain><General><Interfaces>
-<NetworkInterface address="{0}"/></Interfaces></General></Domain></CycloneDDS>"""
 
 
 @dataclass
@@ -219,18 +211,13 @@ def _qos(is_latched: bool) -> Qos:
     )
 
 
-def _settings(interface: str) -> str:
-    if not interface:
-        return os.environ.get("CYCLONEDDS_URI", "")
-    return (LOCAL if interface.startswith("127.") else REMOTE).format(interface)
-
-
 def _shared(domain: int, interface: str) -> _Shared:
     """The domain on an interface, shared by the nodes of this process."""
     known = _SHARED.get(domain)
     if known is None:
-        opened = Domain(domain, _settings(interface))
-        if interface.startswith("127."):
+        chosen = cyclone_settings(interface) if interface else os.environ.get("CYCLONEDDS_URI", "")
+        opened = Domain(domain, chosen)
+        if is_loopback(interface):
             confine(domain)
         known = _SHARED[domain] = _Shared(opened, interface)
     if known.interface != interface:

@@ -53,13 +53,17 @@ ROS1_ADVICE = (
     "/usr/lib/python3/dist-packages after its own packages (tests/ros/install does it with a .pth "
     "file); in a ROS installation: source its setup.bash"
 )
+ROS2_ADVICE = (
+    "source the setup.bash of ROS 2 and of the workspace with crtk_msgs, and use that ROS's "
+    "Python; or say dds, which needs no ROS"
+)
 
 
 def open_transport(name: str, network: Network | None = None) -> Transport:
     """A node on the robot's network.
 
     Args:
-        name: "dds" or "ros1".
+        name: "dds", "ros1" or "ros2".
         network: where.
 
     Raises:
@@ -88,4 +92,14 @@ def _ros1(network: Network) -> Transport:
     return Ros1(network.node, network.interface)
 
 
-OPENERS: dict[str, Callable[[Network], Transport]] = {"dds": _dds, "ros1": _ros1}
+def _ros2(network: Network) -> Transport:
+    try:
+        from viskill_deploy.drivers.crtk.ros2 import Ros2  # noqa: PLC0415 - optional
+    except ImportError as error:
+        raise MissingRosError(
+            f"rclpy or crtk_msgs cannot be imported ({error}); {ROS2_ADVICE}"
+        ) from error
+    return Ros2(network.node, network.domain_id(), network.interface)
+
+
+OPENERS: dict[str, Callable[[Network], Transport]] = {"ros1": _ros1, "ros2": _ros2, "dds": _dds}

@@ -13,7 +13,8 @@ import genmsg
 import genpy
 from genpy.dynamic import generate_dynamic
 
-from viskill_deploy.drivers.crtk.messages import Field, Header, Time, fields_of
+from viskill_deploy.drivers.crtk.definitions import definition
+from viskill_deploy.drivers.crtk.messages import Time, fields_of
 
 NAMES = {"sec": "secs", "nanosec": "nsecs"}
 """Our names of fields that ROS 1 calls otherwise."""
@@ -32,8 +33,8 @@ def ros1_class(message: type[Any], suffix: str = "") -> Any:
         return genpy.Time
     name = message.ROS + suffix
     if name not in _CLASSES:
-        parts = [f"MSG: {part.ROS}\n{definition(part)}" for part in _parts(message)]
-        text = f"\n{'=' * 80}\n".join((definition(message), *parts))
+        parts = [f"MSG: {part.ROS}\n{definition(part, 1)}" for part in _parts(message)]
+        text = f"\n{'=' * 80}\n".join((definition(message, 1), *parts))
         for found, kind in generate_dynamic(name, text).items():
             _CLASSES.setdefault(found, kind)
     return _CLASSES[name]
@@ -43,8 +44,8 @@ def service_class(request: type[Any], response: type[Any]) -> Any:
     """The class of a service, with the hash by which ROS knows it."""
     context = genmsg.MsgContext.create_default()
     for part in {*_parts(request), *_parts(response)}:
-        genmsg.msg_loader.load_msg_from_string(context, definition(part), part.ROS)
-    text = f"{definition(request)}---\n{definition(response)}"
+        genmsg.msg_loader.load_msg_from_string(context, definition(part, 1), part.ROS)
+    text = f"{definition(request, 1)}---\n{definition(response, 1)}"
     spec = genmsg.msg_loader.load_srv_from_string(context, text, request.ROS)
     content = {
         "_type": request.ROS,
@@ -53,21 +54,6 @@ def service_class(request: type[Any], response: type[Any]) -> Any:
         "_response_class": ros1_class(response, "Response"),
     }
     return type(request.ROS.split("/")[1], (), content)
-
-
-def definition(message: type[Any]) -> str:
-    """What a message's file says in ROS 1, whose header counts messages too."""
-    lines = ["uint32 seq"] if message is Header else []
-    lines += [
-        f"{_kind(field)}{'[]' * field.is_sequence} {field.name}" for field in fields_of(message)
-    ]
-    return "".join(f"{line}\n" for line in lines)
-
-
-def _kind(field: Field) -> str:
-    if isinstance(field.kind, str):
-        return field.kind
-    return "time" if field.kind is Time else str(field.kind.ROS)
 
 
 def _parts(message: type[Any]) -> Iterator[type[Any]]:
