@@ -15,7 +15,7 @@ import qpsolvers
 import typer
 from rich.console import Console
 
-from viskill_deploy.cli.sources import Calibration, Robot, SceneFile
+from viskill_deploy.cli.sources import Calibration, Inputs, Robot, SceneFile
 from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.errors import Interrupted, RecordingError, SafetyStop, ViskillError
 from viskill_deploy.observe.recording import Recorder
@@ -89,6 +89,7 @@ def command(
             "arms that speak CRTK."
         ),
     ] = DriverChoice.LOOPBACK,
+    inputs: Inputs = "",
     ik_solver: Annotated[str, typer.Option(help="QP solver of the IK.")] = "daqp",
     speed: Annotated[
         float,
@@ -188,11 +189,16 @@ def command(
         world=world,
         real_time=realtime,
         driver=driver.value,
+        inputs=inputs,
         ik_solver=ik_solver,
         speed=speed,
         faults=_faults(fault or (), mode),
         retries=retries,
     )
+    if inputs and not realtime:
+        raise typer.BadParameter(
+            "--inputs: a person cannot keep up with stepped time; add --realtime"
+        )
     folder = _new_folder(output, prepared.name)
     console = Console(stderr=json_)
     figures, failure = _run(prepared, options, folder, console)

@@ -18,3 +18,10 @@ Calibration = Annotated[Path | None, typer.Option(help="Calibration file of that
 SceneFile = Annotated[
     Path | None, typer.Option("--scene", help="Scene file: where things are, and how well known.")
 ]
+Inputs = Annotated[
+    str,
+    typer.Option(
+        help="Node of its own whose consent and emergency stop count, as can:FILE; such as "
+        "can:pedal of robots/inputs. Only against the clock."
+    ),
+]

@@ -15,6 +15,9 @@ from viskill_deploy.safety.supervisor import Supervisor
 PATIENCE_S = 60.0
 """Time that a person gets to find the pedal."""
 
+PRESS = "press the consent pedal and keep it pressed: the arms are about to move"
+LET_GO = "take your foot off the consent pedal"
+
 
 class Consent(Protocol):
     """Who lets the arms move.
@@ -74,13 +77,31 @@ class PersonsConsent:
 
     def want(self, agreed: bool) -> None:
         """Tells the person what to do."""
-        self._tell(
-            "press the consent pedal and keep it pressed: the arms are about to move"
-            if agreed
-            else "take your foot off the consent pedal"
-        )
+        self._tell(PRESS if agreed else LET_GO)
         if self._is_simulated:
             self._driver.say(consent=agreed)
+
+
+class NodesConsent:
+    """A person at an input node, who lets a simulated cell move.
+
+    Args:
+        tell: shows a person a line.
+    """
+
+    patience_s = PATIENCE_S
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self._tell = tell
+
+    def clear(self, gate: Supervisor, now: float) -> None:
+        """A new episode is a new start."""
+        gate.reset(now)
+        gate.disarm()
+
+    def want(self, agreed: bool) -> None:
+        """Tells the person what to do."""
+        self._tell(PRESS if agreed else LET_GO)
 
 
 def consent_of(driver: Driver) -> Consent:

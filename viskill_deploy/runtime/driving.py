@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Literal
 
 from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.errors import DriverError, ViskillError
 from viskill_deploy.drivers import loopback, loopback_served
 from viskill_deploy.drivers.base import Driver
 from viskill_deploy.sim.world import WorldOptions
@@ -42,3 +43,31 @@ def simulated_driver(
         case "loopback":
             connect = loopback_served.connect if real_time else loopback.connect
     return connect(cell, world, seed)
+
+
+def with_inputs(driver: Driver, inputs: str) -> Driver:
+    """The same arms, moved only while a node of its own agrees.
+
+    Args:
+        driver: connected; closed when the node is not there.
+        inputs: such as "can:pedal" or "can:mine.toml"; "" leaves the driver as it is.
+
+    Raises:
+        DriverError: there is no such kind of input, or the node says nothing.
+        MissingExtraError: it needs a package that is not installed.
+    """
+    kind, _, name = inputs.partition(":")
+    if not inputs:
+        return driver
+    try:
+        if kind != "can" or not name:
+            raise DriverError(f"inputs {inputs!r} are unknown; write can:FILE")
+        from viskill_deploy.drivers.can.with_inputs import (  # noqa: PLC0415
+            WithInputNode,
+            load_inputs,
+        )
+
+        return WithInputNode(driver, load_inputs(name))
+    except ViskillError:
+        driver.close()
+        raise

@@ -23,7 +23,8 @@ from viskill_deploy.core.errors import (
 from viskill_deploy.core.types import Mode as GateMode
 from viskill_deploy.core.types import ObservationRange, Scene
 from viskill_deploy.runtime.boundaries import Job
-from viskill_deploy.runtime.driving import DriverName, simulated_driver
+from viskill_deploy.runtime.consent import NodesConsent
+from viskill_deploy.runtime.driving import DriverName, simulated_driver, with_inputs
 from viskill_deploy.runtime.episodes import closed_loop, planned
 from viskill_deploy.runtime.fault_injection import FaultInjector
 from viskill_deploy.runtime.faults import Injection
@@ -51,6 +52,7 @@ class DryRunOptions:
         world: control period, noise and delay of the simulated cell.
         real_time: the simulated cell runs as a process of its own, against the clock.
         driver: what stands between runtime and simulated cell.
+        inputs: the node whose consent counts, such as "can:pedal"; "" for the simulated operator.
         speed: how fast the time base of line and gate runs, in (0, 1].
         faults: what goes wrong on the way.
         retries: how often in an episode a skill is tried again where a grasp was lost or the value
@@ -64,6 +66,7 @@ class DryRunOptions:
     world: WorldOptions = field(default_factory=WorldOptions)
     real_time: bool = False
     driver: DriverName = "loopback"
+    inputs: str = ""
     ik_solver: str = "daqp"
     speed: float = 1.0
     faults: tuple[Injection, ...] = ()
@@ -104,6 +107,8 @@ def dry_run(
     driver = simulated_driver(
         options.driver, prepared.cell, options.world, options.seed, options.real_time
     )
+    driver = with_inputs(driver, options.inputs)
+    consent = NodesConsent(say) if options.inputs else None
     faults: FaultInjector | None = None
     line = Line(prepared.cell, driver.period_s, options.ik_solver, options.speed)
     training: ObservationRange | None = None
@@ -113,7 +118,7 @@ def dry_run(
         faults = FaultInjector(options.faults, driver, recorder)
         driver, recorder = faults.driver, faults.recorder
         line = faults.line(prepared.cell, options.ik_solver, options.speed)
-    session = Session(prepared.cell, driver, line, recorder, training)
+    session = Session(prepared.cell, driver, line, recorder, training, consent)
     with session, interruptible(session):
         if faults is not None:
             session.thinking_s = faults.thinking_s
