@@ -30,7 +30,7 @@ from viskill_deploy.core.errors import CalibrationError
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.observe.calibration_report import write_calibration_report
 from viskill_deploy.observe.recording import Recorder
-from viskill_deploy.runtime.dry_run import interruptible
+from viskill_deploy.runtime.interrupting import interruptible
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.sim.tasks.base import load_task

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import datetime
 import enum
-import itertools
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,14 +12,13 @@ import qpsolvers
 import typer
 from rich.console import Console
 
+from viskill_deploy.cli.run_folder import new_folder, show, written_report
 from viskill_deploy.cli.sources import Calibration, Inputs, Robot, SceneFile
 from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.errors import Interrupted, RecordingError, SafetyStop, ViskillError
 from viskill_deploy.observe.recording import Recorder
-from viskill_deploy.observe.report import write_report
 from viskill_deploy.observe.starts import remarks
-from viskill_deploy.observe.tables import print_tables, progress
-from viskill_deploy.observe.video import Video, render_video
+from viskill_deploy.observe.tables import progress
 from viskill_deploy.runtime.dry_run import DryRunOptions, dry_run
 from viskill_deploy.runtime.faults import Injection, parse_fault
 from viskill_deploy.runtime.ledger import EpisodeResult
@@ -199,11 +195,11 @@ def command(
         raise typer.BadParameter(
             "--inputs: a person cannot keep up with stepped time; add --realtime"
         )
-    folder = _new_folder(output, prepared.name)
+    folder = new_folder(output, prepared.name)
     console = Console(stderr=json_)
     figures, failure = _run(prepared, options, folder, console)
-    report = _report(prepared, figures, folder, video, console)
-    _show(figures, folder, report, json_, console)
+    report = written_report(prepared.cell, figures, folder, video, console)
+    show(figures, folder, report, json_, console)
     if figures["interventions"] and not isinstance(failure, Interrupted):
         raise SafetyStop(
             f"the gate stepped in {figures['interventions']} times; see {report} for rule and time"
@@ -257,18 +253,6 @@ def _faults(texts: Sequence[str], mode: ModeName) -> tuple[Injection, ...]:
     return faults
 
 
-def _new_folder(output: Path | None, name: str) -> Path:
-    if output is None:
-        moment = datetime.datetime.fromtimestamp(wall_time(), datetime.UTC)
-        first = Path("runs") / f"{moment:%Y%m%d-%H%M%S}-{name}"
-        numbered = (first.with_name(f"{first.name}-{i}") for i in itertools.count(2))
-        output = next(path for path in itertools.chain([first], numbered) if not path.exists())
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise typer.BadParameter(f"{output} is not an empty folder; name a new one with --output")
-    output.mkdir(parents=True, exist_ok=True)
-    return output
-
-
 def _run(
     prepared: Prepared | PreparedTrajectory, options: DryRunOptions, folder: Path, console: Console
 ) -> tuple[dict[str, Any], ViskillError | None]:
@@ -297,33 +281,3 @@ def _run(
             except RecordingError as error:
                 lost = error
     return outcome.figures, outcome.failure or lost
-
-
-def _report(
-    prepared: Prepared | PreparedTrajectory,
-    result: dict[str, Any],
-    folder: Path,
-    video: bool,
-    console: Console,
-) -> Path:
-    (folder / "result.json").write_text(
-        json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8"
-    )
-    picture: Video | None = None
-    recording = folder / "recording"
-    if video and result["setpoints"]:
-        with console.status("rendering the video"):
-            picture = render_video(recording, folder / "video.mp4", episode=0)
-    with console.status("writing the report"):
-        return write_report(folder / "report.html", result, prepared.cell, recording, picture, 0)
-
-
-def _show(
-    result: dict[str, Any], folder: Path, report: Path, as_json: bool, console: Console
-) -> None:
-    if as_json:
-        print(json.dumps(result, allow_nan=False))
-        return
-    print_tables(result, console)
-    console.print(f"report:    {report}", highlight=False, soft_wrap=True)
-    console.print(f"recording: {folder / 'recording'}", highlight=False, soft_wrap=True)

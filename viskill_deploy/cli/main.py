@@ -24,6 +24,7 @@ from viskill_deploy.cli import (
     doctor,
     dry_run,
     evaluate,
+    execute,
     export,
     faults,
     inspect,
@@ -45,6 +46,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("dry-run", epilog=dry_run.EXAMPLE)(dry_run.command)
+app.command("execute", epilog=execute.EXAMPLE)(execute.command)
 app.command("faults", epilog=faults.EXAMPLE)(faults.command)
 app.command("check", epilog=check.EXAMPLE)(check.command)
 app.command("inspect", epilog=inspect.EXAMPLE)(inspect.command)

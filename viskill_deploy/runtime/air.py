@@ -31,7 +31,9 @@ def lifted(cell: CellDescription, lift_m: float) -> CellDescription:
     """
     if not 0.0 < lift_m <= HIGHEST_M:
         raise MotionError(f"a plan is lifted by up to {1e3 * HIGHEST_M:g} mm; ask for less")
-    return replace(cell, arms=tuple(_lower(arm, lift_m) for arm in cell.arms), filed=cell)
+    return replace(
+        cell, arms=tuple(_lower(arm, lift_m) for arm in cell.arms), filed=cell.filed or cell
+    )
 
 
 def _lower(arm: CellArm, way_m: float) -> CellArm:

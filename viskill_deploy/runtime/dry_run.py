@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import signal
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -14,13 +11,11 @@ import numpy as np
 from viskill_deploy.core import realtime
 from viskill_deploy.core.clock import MonotonicClock
 from viskill_deploy.core.errors import (
-    Interrupted,
     KinematicsError,
     MotionError,
     SafetyStop,
     ViskillError,
 )
-from viskill_deploy.core.types import Mode as GateMode
 from viskill_deploy.core.types import ObservationRange, Scene
 from viskill_deploy.runtime.boundaries import Job
 from viskill_deploy.runtime.consent import NodesConsent
@@ -28,6 +23,8 @@ from viskill_deploy.runtime.driving import DriverName, simulated_driver, with_in
 from viskill_deploy.runtime.episodes import closed_loop, planned
 from viskill_deploy.runtime.fault_injection import FaultInjector
 from viskill_deploy.runtime.faults import Injection
+from viskill_deploy.runtime.figures import Outcome, run_figures
+from viskill_deploy.runtime.interrupting import go_on, interruptible
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.preflight import Prepared
@@ -71,19 +68,6 @@ class DryRunOptions:
     speed: float = 1.0
     faults: tuple[Injection, ...] = ()
     retries: int = 1
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a run ended.
-
-    Attributes:
-        figures: what it came to, ready for JSON.
-        failure: what ended it early; None when all episodes were run.
-    """
-
-    figures: dict[str, Any]
-    failure: ViskillError | None
 
 
 def dry_run(
@@ -130,23 +114,13 @@ def dry_run(
         try:
             for episode in range(options.episodes):
                 progress(_episode(session, prepared, options, episode))
-                _go_on(session)
+                go_on(session)
         except ViskillError as error:
             failure = error
         wall = clock.now() - began
-    figures = _figures(prepared, options, session, wall, notes)
+    figures = run_figures(prepared, session, _how(prepared, options), wall, notes)
     figures["faults"] = [struck.facts() for struck in faults.struck] if faults else []
     return Outcome(figures, failure)
-
-
-def _go_on(session: Session) -> None:
-    """Raises what ends a run between two episodes."""
-    if session.is_stop_wanted:
-        raise Interrupted("interrupted; the arms were brought to rest")
-    if session.gate.mode is GateMode.ESTOPPED:
-        raise SafetyStop("emergency stop: start a new process when the cause is gone")
-    if not session.recorder.alive:
-        raise SafetyStop("the recorder failed; look at the disk, then start again")
 
 
 def _episode(
@@ -194,17 +168,10 @@ def layout_of(
     return prepared.task.sample_layout(rng, distribution)
 
 
-def _figures(
-    prepared: Prepared | PreparedTrajectory,
-    options: DryRunOptions,
-    session: Session,
-    wall_s: float,
-    notes: list[str],
-) -> dict[str, Any]:
-    summary = session.ledger.summary()
+def _how(prepared: Prepared | PreparedTrajectory, options: DryRunOptions) -> dict[str, Any]:
+    """The options that people compare runs by."""
     is_plan = isinstance(prepared, PreparedTrajectory)
     return {
-        **prepared.about(),
         "mode": "trajectory" if is_plan else options.mode,
         "distribution": _where(prepared, options),
         "seed": options.seed,
@@ -212,13 +179,7 @@ def _figures(
         "rate_hz": round(1.0 / options.world.period_s, 6),
         "real_time": options.real_time,
         "driver": options.driver,
-        **summary,
-        "empty_jaw_rad": list(session.empty_jaw_rad),
-        "wall_s": wall_s,
-        "realtime_factor": summary["simulated_s"] / wall_s,
-        "overruns": session.overruns,
-        "files": [{"path": path, "sha256": digest} for path, digest in prepared.files],
-        "notes": notes,
+        "speed": options.speed,
     }
 
 
@@ -227,23 +188,3 @@ def _where(prepared: Prepared | PreparedTrajectory, options: DryRunOptions) -> s
     if isinstance(prepared, Prepared) and prepared.scene is not None:
         return prepared.scene.path.name
     return options.distribution or next(iter(prepared.distributions), "none")
-
-
-@contextlib.contextmanager
-def interruptible(session: Session) -> Iterator[None]:
-    """Ctrl-C and SIGTERM ask for a stop at the end of the cycle; a second one ends it at once."""
-
-    def ask(signum: int, frame: object) -> None:
-        if session.is_stop_wanted:
-            raise KeyboardInterrupt
-        session.ask_to_stop()
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

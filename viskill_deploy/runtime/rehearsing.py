@@ -15,19 +15,25 @@ from functools import partial
 import numpy as np
 import pinocchio
 
+from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import CalibrationError, DataFileError, MotionError, ViskillError
-from viskill_deploy.core.types import CellState, FloatArray, ObjectPose, Scene
+from viskill_deploy.core.types import PSM_JOINTS, CellState, FloatArray, ObjectPose, Scene
 from viskill_deploy.drivers import loopback
-from viskill_deploy.drivers.base import Driver
+from viskill_deploy.drivers.base import ENABLED, Driver
 from viskill_deploy.motion.links import CellLinks
+from viskill_deploy.runtime.air import lifted, start_axes
+from viskill_deploy.runtime.attempts import plan_for
+from viskill_deploy.runtime.boundaries import Job, Stops
 from viskill_deploy.runtime.checklist import Checklist, Found, Line
-from viskill_deploy.runtime.planning import Plan, make_plan
+from viskill_deploy.runtime.planning import Plan
 from viskill_deploy.runtime.preflight import PERIOD_S, Prepared, Sources, look_at_files
 from viskill_deploy.safety.rules.s29_training_range import widened
 from viskill_deploy.sim.world import WorldOptions
 
 SIGMAS = 2.0
 """A measured pose is taken as anywhere within so many standard deviations."""
+
+REST = (0.0,) * 6
 
 LAYOUTS = 2**29
 """First number of the seeds of layouts: training never uses it."""
@@ -42,12 +48,16 @@ class Rehearsed:
         speed: how fast the time base of line and gate runs, in (0, 1].
         ik_solver: QP solver of the IK.
         seed: of the scripted plan's random part.
+        lift_m: how high above the board the plan is run; 0 on it.
+        stops: where the arms rest for the operator.
     """
 
     period_s: float = PERIOD_S
     speed: float = 1.0
     ik_solver: str = "daqp"
     seed: int = 0
+    lift_m: float = 0.0
+    stops: Stops = "nowhere"
 
 
 def preflight(sources: Sources, seed: int = 0) -> tuple[Checklist, Prepared | None]:
@@ -221,20 +231,11 @@ def _gap_over(prepared: Prepared, point: FloatArray) -> Iterator[tuple[float, fl
 
 def _plan(prepared: Prepared, state: CellState, scene: Scene, how: Rehearsed) -> Found[Plan]:
     """The policy's plan from here, as it would be streamed."""
-    held = np.array([(*arm.setpoint_jp, arm.jaw_setpoint_jp) for arm in state.arms])
-    measured = held.copy()
-    measured[:, :6] = [arm.measured_jp for arm in state.arms]
+    ground = prepared.cell if how.lift_m else None
+    job = Job(prepared.bundle, prepared.task, ground=ground, stops=how.stops)
+    cell, begin = _lifted(prepared, state, how)
     rng = np.random.default_rng([LAYOUTS, how.seed])
-    plan = make_plan(
-        prepared.cell,
-        prepared.task,
-        prepared.bundle,
-        measured,
-        held,
-        scene,
-        rng,
-        must_succeed=False,
-    )
+    plan = plan_for(cell, job, begin, scene, rng, must_succeed=False)
     text = f"{len(plan.waypoints) - 1} waypoints in {plan.motion.duration_s:.1f} s"
     if plan.succeeds:
         return Found(plan, f"{text}, does the task in the simulator")
@@ -244,9 +245,50 @@ def _plan(prepared: Prepared, state: CellState, scene: Scene, how: Rehearsed) ->
 def _judged(
     prepared: Prepared, plan: Plan, state: CellState, how: Rehearsed
 ) -> Found[dict[str, float]]:
-    margins = plan.check(prepared.cell, how.period_s, state, how.ik_solver, how.speed)
+    cell, begin = _lifted(prepared, state, how)
+    margins = plan.check(cell, how.period_s, begin, how.ik_solver, how.speed)
     tightest = min(margins.values())
     return Found(margins, f"passes all {len(margins)} rules of the gate", tightest)
+
+
+def _lifted(
+    prepared: Prepared, state: CellState, how: Rehearsed
+) -> tuple[CellDescription, CellState]:
+    """The cell that the plan is run in, and its arms where the plan begins."""
+    if not how.lift_m:
+        return prepared.cell, state
+    cell = lifted(prepared.cell, how.lift_m)
+    return cell, at_start(cell, state)
+
+
+def at_start(cell: CellDescription, state: CellState) -> CellState:
+    """The same arms in the cell's start pose, at rest, enabled and homed.
+
+    Raises:
+        MotionError: it is out of reach.
+    """
+    rows = start_axes(cell, np.zeros((len(cell.arms), 7))).tolist()
+    return replace(
+        state,
+        arms=tuple(
+            replace(
+                arm,
+                valid=True,
+                operating_state=ENABLED,
+                is_homed=True,
+                is_busy=False,
+                measured_jp=tuple(row[:6]),
+                measured_jv=REST,
+                setpoint_jp=tuple(row[:6]),
+                jaw_measured_jp=max(row[6], 0.0),  # an empty jaw closes to its zero
+                jaw_measured_jv=0.0,
+                jaw_setpoint_jp=row[6],
+                joint_names=PSM_JOINTS,
+                tool=described.arm.tool,
+            )
+            for arm, described, row in zip(state.arms, cell.arms, rows, strict=True)
+        ),
+    )
 
 
 def _rules(margins: Mapping[str, float]) -> Iterator[Line]:
