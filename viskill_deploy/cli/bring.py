@@ -13,7 +13,7 @@ from viskill_deploy.cli.names import FrameName, PointName
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import MissingExtraError
 from viskill_deploy.motion.frames import Label
-from viskill_deploy.motion.resolve import resolve
+from viskill_deploy.motion.resolve import resolve, start_seeds
 from viskill_deploy.motion.trajectory import write_plan
 from viskill_deploy.motion.waypoints import start_waypoint
 from viskill_deploy.observe.trajectory_files import read_written
@@ -96,7 +96,7 @@ def trajectory(
     written = read_written(file)
     label = _declared(written.label, frame, control_point, length_scale, file)
     waypoints = checked_waypoints(description, written, label, step, str(file))
-    held = resolve(description, [start_waypoint(description)], [(0.0,) * 7] * len(description.arms))
+    held = resolve(description, [start_waypoint(description)], start_seeds(description))
     plan = plan_waypoints(description, waypoints, held[1])
     write_plan(output, description, waypoints, f"{file.name}, {label}")
     look = look_at(description, waypoints)

@@ -19,6 +19,8 @@ class CellArmEntry(Table):
     """One arm of a cell. The start angle that it gives says which one its policies command.
 
     A cell of real arms names their serial numbers and is not armed without their calibration.
+    An arm without a mechanical remote centre needs its port, and `start_joints_si` (rad and m, one
+    a joint): near which joints, of all that there are, its start pose is looked for.
     """
 
     name: str
@@ -33,6 +35,7 @@ class CellArmEntry(Table):
     start_yaw_rad: float | None = None
     start_pitch_rad: float | None = None
     port_in_base_m: Vector3 = (0.0, 0.0, 0.0)
+    start_joints_si: tuple[float, ...] = ()
 
     @model_validator(mode="after")
     def _ordered(self) -> CellArmEntry:

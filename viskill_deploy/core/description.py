@@ -17,6 +17,7 @@ from viskill_deploy.core.cell_files import CellArmEntry, CellFile
 from viskill_deploy.core.errors import DataFileError
 from viskill_deploy.core.robot_files import (
     GateThresholds,
+    Instrument,
     Jaw,
     PrismaticJoint,
     RevoluteJoint,
@@ -33,12 +34,14 @@ PLAN_FRACTION = 0.9
 
 @dataclass(frozen=True)
 class ArmDescription:
-    """A robot with an instrument in it: six joints, a jaw and a tip.
+    """A robot with an instrument in it: joints, a jaw and a tip.
 
     Attributes:
-        joints: the six rows in order.
+        joints: the rows in order: a PSM's six, or those of an arm of a lab's own.
         tip_rotation: rotation from the last joint's frame to the tip, (3, 3).
+        actuator_to_joint: of a PSM's instrument; empty for another arm.
         files: every file that this came from.
+        instrument: the straight instrument of an arm that has no remote centre by mechanism.
     """
 
     robot: str
@@ -50,6 +53,27 @@ class ArmDescription:
     gate: GateThresholds
     actuator_to_joint: FloatArray
     files: tuple[Path, ...]
+    instrument: Instrument | None = None
+
+    @property
+    def has_remote_centre(self) -> bool:
+        """Whether a mechanism keeps the shaft in the port, so that software need not."""
+        return self.instrument is None
+
+    @property
+    def axes(self) -> int:
+        """Joints and jaw."""
+        return len(self.joints) + 1
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names in order."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def tip_position(self) -> tuple[float, float, float]:
+        """The jaw's pivot in the last joint's frame, m: a PSM's last axis goes through it."""
+        return self.instrument.tip_position_m if self.instrument else (0.0, 0.0, 0.0)
 
     @property
     def wrist_offset_m(self) -> float:
@@ -81,6 +105,11 @@ class CellArm:
     T_task_base: FloatArray
     entry: CellArmEntry
     cables: Cables = STIFF
+
+    @property
+    def seed(self) -> tuple[float, ...]:
+        """Joints near which the start pose is looked for, rad and m."""
+        return self.entry.start_joints_si or (0.0,) * len(self.arm.joints)
 
     @property
     def port_in_base(self) -> FloatArray:
@@ -143,11 +172,49 @@ def join(robot: RobotFile, tool: ToolFile, files: tuple[Path, ...]) -> ArmDescri
     )
 
 
+def own_arm(robot: RobotFile, tool: str, path: Path) -> ArmDescription:
+    """An arm of a lab's own with the instrument that stands in its file.
+
+    Raises:
+        DataFileError: `tool` is not the name of that instrument.
+    """
+    instrument = robot.instrument
+    if instrument is None or instrument.name != tool:
+        has = instrument.name if instrument else "none"
+        raise DataFileError(path, "instrument", f"holds {has}, not {tool}; name it in the cell")
+    return ArmDescription(
+        robot=robot.name,
+        tool=tool,
+        joints=robot.joint,
+        tip_rotation=np.array(instrument.tip_rotation),
+        jaw=instrument.jaw,
+        shape=instrument.shape,
+        gate=robot.gate,
+        actuator_to_joint=np.zeros((0, 0)),
+        files=(path,),
+        instrument=instrument,
+    )
+
+
 def load_robot(name: str, tool: str) -> ArmDescription:
     """The robot `name` of `robots/` with the instrument `tool` of `robots/tools/`."""
-    robot_path, tool_path = data.find(f"robots/{name}.toml"), data.find(f"robots/tools/{tool}.toml")
-    robot, instrument = read_toml(robot_path, RobotFile), read_toml(tool_path, ToolFile)
-    return join(robot, instrument, (robot_path, tool_path))
+    robot_path = data.find(f"robots/{name}.toml")
+    robot = read_toml(robot_path, RobotFile)
+    if robot.instrument is not None:
+        return own_arm(robot, tool, robot_path)
+    tool_path = data.find(f"robots/tools/{tool}.toml")
+    return join(robot, read_toml(tool_path, ToolFile), (robot_path, tool_path))
+
+
+def _check_start(path: Path, entry: CellArmEntry, arm: ArmDescription) -> None:
+    """An arm with many ways to its start pose says near which joints it shall be."""
+    wanted = 0 if arm.has_remote_centre else len(arm.joints)
+    if len(entry.start_joints_si) != wanted:
+        raise DataFileError(
+            path,
+            f"arm.{entry.name}.start_joints_si",
+            f"has {len(entry.start_joints_si)} numbers; {arm.robot} needs {wanted}",
+        )
 
 
 def load_cell(name: str | Path) -> CellDescription:
@@ -160,6 +227,10 @@ def load_cell(name: str | Path) -> CellDescription:
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rpy_matrix(*entry.base_rpy_rad), entry.base_position_m
         pose.flags.writeable = False
-        arms.append(CellArm(entry.name, load_robot(entry.robot, entry.tool), pose, entry))
+        arm = load_robot(entry.robot, entry.tool)
+        _check_start(path, entry, arm)
+        arms.append(CellArm(entry.name, arm, pose, entry))
+    if len({arm.arm.axes for arm in arms}) > 1:
+        raise DataFileError(path, "arm", "all arms of a cell need the same number of joints")
     files = dict.fromkeys([path, *(f for arm in arms for f in arm.arm.files)])
     return CellDescription(cell.name, tuple(arms), cell, tuple(files))

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from viskill_deploy.core.errors import DataFileError
 
@@ -187,6 +187,13 @@ class Jaw(Table):
         return self
 
 
+def _proper(rows: tuple[Vector3, ...]) -> tuple[Vector3, ...]:
+    R = np.array(rows)
+    if abs(R @ R.T - np.eye(3)).max() > 1e-9 or np.linalg.det(R) < 0:
+        raise ValueError("tip_rotation must be a proper rotation matrix")
+    return rows
+
+
 class Shape(Table):
     """How thick an instrument is. A file need not say it: these are the 8 mm instruments.
 
@@ -222,14 +229,51 @@ class GateThresholds(Table):
     ik_residual_m: Positive
 
 
+class Instrument(Table):
+    """A straight instrument on the flange of an arm that has no remote centre by mechanism.
+
+    Attributes:
+        shaft_length_m: of the tube, from where it may touch a port to the jaw's pivot.
+        tip_position_m: the jaw's pivot in the last joint's frame.
+        tip_rotation: from the last joint's frame to the tip, whose z runs along the shaft.
+    """
+
+    name: str
+    shaft_length_m: Positive
+    tip_position_m: Vector3
+    tip_rotation: tuple[Vector3, Vector3, Vector3]
+    jaw: Jaw
+    shape: Shape = Shape()
+
+    @field_validator("tip_rotation")
+    @classmethod
+    def _proper_rotation(cls, rows: tuple[Vector3, ...]) -> tuple[Vector3, ...]:
+        return _proper(rows)
+
+
 class RobotFile(Table):
-    """`robots/<name>.toml`: the part of an arm that stays when the instrument changes."""
+    """`robots/<name>.toml`: the part of an arm that stays when the instrument changes.
+
+    An arm of a lab's own (`generation = "own"`) has no remote centre by mechanism: software keeps
+    its instrument in the port. Its file holds the instrument too.
+    """
 
     schema_version: Literal[1] = Field(alias="schema")
     name: str
-    generation: Literal["Classic", "Si"]
+    generation: Literal["Classic", "Si", "own"]
     joint: tuple[Joint, ...]
     gate: GateThresholds
+    instrument: Instrument | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> RobotFile:
+        if (self.instrument is not None) != (self.generation == "own"):
+            raise ValueError(
+                'an [instrument] belongs to an arm of generation "own", and to no other'
+            )
+        if self.generation == "own" and len(self.joint) < 6:
+            raise ValueError("an arm that keeps its port by software needs six joints or more")
+        return self
 
 
 class ToolFile(Table):
@@ -246,9 +290,7 @@ class ToolFile(Table):
 
     @model_validator(mode="after")
     def _proper_rotation(self) -> ToolFile:
-        R = np.array(self.tip_rotation)
-        if abs(R @ R.T - np.eye(3)).max() > 1e-9 or np.linalg.det(R) < 0:
-            raise ValueError("tip_rotation must be a proper rotation matrix")
+        _proper(self.tip_rotation)
         if abs(np.linalg.det(np.array(self.actuator_to_joint))) < 1e-9:
             raise ValueError("actuator_to_joint must be a 4x4 matrix with an inverse")
         return self

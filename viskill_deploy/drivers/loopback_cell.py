@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from viskill_deploy.core.errors import DriverError, ViskillError
 from viskill_deploy.core.types import (
-    PSM_JOINTS,
     ArmState,
     CellState,
     FloatArray,
@@ -17,8 +16,6 @@ from viskill_deploy.core.types import (
 )
 from viskill_deploy.drivers.base import DISABLED, ENABLED, PAUSED
 from viskill_deploy.sim.world import World
-
-REST: Joints = (0.0,) * 6
 
 STREAM_TIMEOUT_S = 0.02
 """The velocity of a setpoint is forgotten when no other has come for this long, as on a dVRK."""
@@ -87,7 +84,7 @@ class LoopbackCell:
 
     def hold(self) -> None:
         """Stays at the setpoint, at rest."""
-        self._setpoints = [JointSetpoint(s.jp, REST, s.jaw, 0.0) for s in self._setpoints]
+        self._setpoints = [_at_rest(s.jp, s.jaw) for s in self._setpoints]
 
     def pause(self) -> None:
         """Holds, and takes no setpoint until the arms are enabled again: ENABLED → PAUSED."""
@@ -172,7 +169,7 @@ class LoopbackCell:
                     jaw_measured_jv=seen.jaw_v,
                     setpoint_jp=held.jp,
                     jaw_setpoint_jp=held.jaw,
-                    joint_names=PSM_JOINTS,
+                    joint_names=arm.arm.joint_names,
                     tool=arm.arm.tool,
                 )
             )
@@ -188,6 +185,8 @@ class LoopbackCell:
         return Scene(now, seen.objects, seen.active, seen.goal)
 
     def _stay_at_home(self) -> None:
-        self._setpoints = [
-            JointSetpoint(tuple(row[:6]), REST, row[6], 0.0) for row in self.world.home.tolist()
-        ]
+        self._setpoints = [_at_rest(tuple(row[:-1]), row[-1]) for row in self.world.home.tolist()]
+
+
+def _at_rest(jp: Joints, jaw: float) -> JointSetpoint:
+    return JointSetpoint(jp, (0.0,) * len(jp), jaw, 0.0)

@@ -41,23 +41,29 @@ def load_arm(name: str | Path, tool: str | Path = "large_needle_driver_400006") 
 
 
 class Arm:
-    """Kinematics of one PSM: joints (6,) rad and m, poses of the tip in the base (RCM) frame, m.
+    """Kinematics of one arm: joints (n,) rad and m, poses of the tip in the base's frame, m.
+
+    A PSM has six joints, its base is its remote centre, and its inverse has a closed form. What
+    asks for that of another arm is refused; `straight.StraightArm` has an inverse of its own.
 
     Not safe to share between threads: the model's workspace is kept between calls.
 
     Attributes:
         description: the numbers that it was made from.
         model: Pinocchio's model, with the frames "tip" and "shaft".
-        lower: joint limits, (6,), read-only.
-        upper: joint limits, (6,), read-only.
+        lower: joint limits, (n,), read-only.
+        upper: joint limits, (n,), read-only.
     """
 
     def __init__(self, description: ArmDescription) -> None:
         self.description = description
         self.model = build_model(description)
-        self.lower: FloatArray = frozen_array(description.limit(0), (6,), "lower")
-        self.upper: FloatArray = frozen_array(description.limit(1), (6,), "upper")
-        self._geometry = closed_form.PsmGeometry.of(description)
+        self._count = (len(description.joints),)
+        self.lower: FloatArray = frozen_array(description.limit(0), self._count, "lower")
+        self.upper: FloatArray = frozen_array(description.limit(1), self._count, "upper")
+        self._psm = (
+            closed_form.PsmGeometry.of(description) if description.has_remote_centre else None
+        )
         self._data = self.model.createData()
         self._tip = self.model.getFrameId(TIP_FRAME)
         self._shaft = self.model.getFrameId(SHAFT_FRAME)
@@ -68,7 +74,7 @@ class Arm:
         """Pose of the tip in the base frame.
 
         Raises:
-            KinematicsError: not six finite numbers.
+            KinematicsError: not as many finite numbers as joints.
         """
         return pin.SE3(self._placed(q))
 
@@ -79,30 +85,30 @@ class Arm:
 
     def _placed(self, q: npt.ArrayLike) -> pin.SE3:
         """The tip's pose in the workspace: it changes with the next call."""
-        pin.forwardKinematics(self.model, self._data, _joints(q))
+        pin.forwardKinematics(self.model, self._data, self._joints(q))
         return pin.updateFramePlacement(self.model, self._data, self._tip)
 
     def joint_frame(self, q: npt.ArrayLike, joint: int) -> pin.SE3:
         """Frame of one joint in the base frame.
 
         Args:
-            q: joints, (6,); those behind `joint` do not matter.
-            joint: 1 to 6; 0 is the base itself.
+            q: joints, (n,); those behind `joint` do not matter.
+            joint: 1 to n; 0 is the base itself.
 
         Raises:
-            KinematicsError: not six finite numbers.
+            KinematicsError: not as many finite numbers as joints.
         """
-        pin.forwardKinematics(self.model, self._data, _joints(q))
+        pin.forwardKinematics(self.model, self._data, self._joints(q))
         return pin.SE3(self._data.oMi[joint])
 
     def jacobian(self, q: npt.ArrayLike) -> FloatArray:
-        """Geometric Jacobian at the tip, (6, 6): rows vx vy vz wx wy wz, base axes.
+        """Geometric Jacobian at the tip, (6, n): rows vx vy vz wx wy wz, base axes.
 
         Raises:
-            KinematicsError: not six finite numbers.
+            KinematicsError: not as many finite numbers as joints.
         """
         J = pin.computeFrameJacobian(
-            self.model, self._data, _joints(q), self._tip, pin.LOCAL_WORLD_ALIGNED
+            self.model, self._data, self._joints(q), self._tip, pin.LOCAL_WORLD_ALIGNED
         )
         return np.array(J)
 
@@ -113,15 +119,15 @@ class Arm:
 
         Raises:
             NoSolutionError: out of reach; names the joint and by how much.
-            KinematicsError: no rigid pose, or a seed that is not six finite numbers.
+            KinematicsError: no rigid pose, or a seed that is not as many finite numbers as joints.
         """
         rotation, p = split(T_base_tip)
-        seed_roll = float(_joints(q_seed)[ROLL])
+        seed_roll = float(self._joints(q_seed)[ROLL])
         # Frame 6 = tip turned back: column k of R tip_rotation^T is R times row k.
         (ax, ay, az), (bx, by, bz) = self._to_frame6
         x = tuple(r[0] * ax + r[1] * ay + r[2] * az for r in rotation)
         z = tuple(r[0] * bx + r[1] * by + r[2] * bz for r in rotation)
-        return np.array(closed_form.inverse(self._geometry, x, z, p, seed_roll))
+        return np.array(closed_form.inverse(self._geometry(), x, z, p, seed_roll))
 
     def forward_batch(self, q: FloatArray) -> FloatArray:
         """Tip poses (N, 4, 4) of configurations (N, 6). Raises as `model.forward_batch`."""
@@ -131,6 +137,7 @@ class Arm:
         self, T_base_tip: FloatArray, seed: FloatArray
     ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         """Joints (N, 6) and whether each is inside the limits. See `closed_form.inverse_batch`."""
+        self._geometry()
         return closed_form.inverse_batch(self.description, T_base_tip, seed)
 
     def resolve(self, T_base_tip: FloatArray, q0: npt.ArrayLike) -> FloatArray:
@@ -147,19 +154,19 @@ class Arm:
             NoSolutionError: a pose is out of reach, or the roll's limits break the path; names
                 joint, excess and the pose's index.
         """
-        poses, start = checked_poses(T_base_tip, "T_base_tip"), _joints(q0)
+        poses, start = checked_poses(T_base_tip, "T_base_tip"), self._joints(q0)
         q, ok = self.inverse_batch(poses, start)
         # The turn nearest to the start may be clipped by the limits: unwrap only what is inside.
         previous = float(start[ROLL])
         for i, roll in enumerate(q[:, ROLL].tolist()):
             if not ok[i]:
-                cause = closed_form.no_solution(self._geometry, tuple(q[i].tolist()))
+                cause = closed_form.no_solution(self._geometry(), tuple(q[i].tolist()))
                 raise _at_index(cause, i)
             step = math.remainder(roll - previous, closed_form.TURN)
             previous += step
             excess = max(self.lower[ROLL] - previous, previous - self.upper[ROLL])
             if excess > closed_form.LIMIT_TOLERANCE:
-                name = self._geometry.names[ROLL]
+                name = self._geometry().names[ROLL]
                 raise NoSolutionError(
                     ROLL,
                     name,
@@ -175,30 +182,38 @@ class Arm:
         """Distance of the shaft's axis from the registered port, m.
 
         Args:
-            q: joints, (6,).
+            q: joints, (n,).
             port: where the trocar is, base frame, (3,) m. A PSM's shaft passes through the origin
                 by mechanism, so a port there gives 0 whatever the joints.
 
         Raises:
-            KinematicsError: not six, not three, or not finite numbers.
+            KinematicsError: not n, not three, or not finite numbers.
         """
         place = np.asarray(port, dtype=np.float64)
         if place.shape != (3,) or not np.isfinite(place).all():
             raise KinematicsError(f"port is {port!r}; give three finite numbers in m")
-        pin.forwardKinematics(self.model, self._data, _joints(q))
+        pin.forwardKinematics(self.model, self._data, self._joints(q))
         shaft = pin.updateFramePlacement(self.model, self._data, self._shaft)
         x, y, _ = shaft.actInv(place).tolist()
         return math.hypot(x, y)
 
+    def _geometry(self) -> closed_form.PsmGeometry:
+        if self._psm is None:
+            raise KinematicsError(
+                f"{self.description.robot} has no closed form; use IkSolver for this arm"
+            )
+        return self._psm
 
-def _joints(q: Any) -> FloatArray:
-    """Six finite float64 numbers, or a `KinematicsError`."""
-    joints = np.asarray(q, dtype=np.float64)
-    if joints.shape != (6,):
-        raise KinematicsError(f"joints have shape {joints.shape}; give six numbers")
-    if not math.isfinite(sum(q if q.__class__ is tuple else joints.tolist())):
-        raise IkError("not-finite", f"joints {joints.tolist()} are not all finite; check them")
-    return joints
+    def _joints(self, q: Any) -> FloatArray:
+        """Finite float64 numbers, one a joint, or a `KinematicsError`."""
+        joints = np.asarray(q, dtype=np.float64)
+        if joints.shape != self._count:
+            (count,) = self._count
+            number = "six" if count == 6 else count
+            raise KinematicsError(f"joints have shape {joints.shape}; give {number} numbers")
+        if not math.isfinite(sum(q if q.__class__ is tuple else joints.tolist())):
+            raise IkError("not-finite", f"joints {joints.tolist()} are not all finite; check them")
+        return joints
 
 
 def _at_index(error: NoSolutionError, index: int) -> NoSolutionError:

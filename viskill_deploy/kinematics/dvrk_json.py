@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from viskill_deploy.core import data
-from viskill_deploy.core.description import ArmDescription, join
+from viskill_deploy.core.description import ArmDescription, join, own_arm
 from viskill_deploy.core.errors import DataFileError
 from viskill_deploy.core.robot_files import RobotFile, Table, ToolFile, read_toml, validated
 
@@ -216,12 +216,15 @@ def describe_arm(name: str | Path, tool: str | Path) -> ArmDescription:
     Raises:
         DataFileError: a file is missing or refused; names file, key and reason.
     """
-    robot_path, tool_path = _locate(name, "robots"), _locate(tool, "robots/tools")
+    robot_path = _locate(name, "robots")
     robot = (
         robot_from_json(robot_path)
         if robot_path.suffix == ".json"
         else read_toml(robot_path, RobotFile)
     )
+    if robot.instrument is not None:
+        return own_arm(robot, str(tool), robot_path)
+    tool_path = _locate(tool, "robots/tools")
     instrument = (
         tool_from_json(tool_path, robot.generation)
         if tool_path.suffix == ".json"

@@ -124,7 +124,8 @@ class IkSolver:
         self._stack, self._rhs = np.zeros((8 + n, n)), np.zeros(8 + n)
         if port and self._soft:
             damping = max(damping, LEAST_DAMPING * port.weight**2)
-        self._stack[8:] = math.sqrt(damping) * np.eye(n)
+        self._damping = math.sqrt(damping)
+        self._stack[8:] = self._damping * np.eye(n)
         self._task, self._task_rhs = self._stack[:6], self._rhs[:6]
         self._weights = np.array([1 / lever_m] * 3 + [orientation_cost] * 3)
         self._row_weights = np.repeat(self._weights[:, None], n, axis=1)
@@ -134,7 +135,7 @@ class IkSolver:
 
     @classmethod
     def for_arm(cls, arm: Arm, limits: JointLimits | None = None, **options: Any) -> IkSolver:
-        """A solver for the tip of a PSM.
+        """A solver for the tip of an arm.
 
         Args:
             arm: the arm.
@@ -143,7 +144,7 @@ class IkSolver:
         """
         chosen = limits or JointLimits.planning(arm.description)
         solver = cls(arm.model, TIP_FRAME, chosen, **options)
-        solver._arm = arm
+        solver._arm = arm if arm.description.has_remote_centre else None
         return solver
 
     def step(
@@ -153,6 +154,7 @@ class IkSolver:
         T_target: Pose,
         dt: float,
         v_feedforward: npt.ArrayLike | None = None,
+        v_preferred: npt.ArrayLike | None = None,
     ) -> IkSolution:
         """One tick: the joints at its end, as near to the target as the limits allow.
 
@@ -162,6 +164,8 @@ class IkSolver:
             T_target: where the frame shall be at the end of the tick, in the base frame.
             dt: length of the tick, s.
             v_feedforward: twist of the target besides, in the frame's axes, linear first, (6,).
+            v_preferred: joint velocities to be near to, as far as the task leaves it open, (n,);
+                standing still when None. For arms with more joints than the task needs.
 
         Raises:
             IkError: "not-finite", "bad-bounds", "infeasible", "outside-box", "residual" or "time";
@@ -178,7 +182,14 @@ class IkSolver:
             if twist.shape != (6,) or not np.isfinite(twist).all():
                 raise IkError("not-finite", "v_feedforward must be six finite numbers; check it")
             self._task_rhs -= self._weights * twist
-        v, residual, active = self._solve(lower, upper, dt)
+        if v_preferred is not None:
+            wish = np.array(self._floats(v_preferred, "v_preferred"))
+            np.multiply(-self._damping, wish, out=self._rhs[8:])
+        try:
+            v, residual, active = self._solve(lower, upper, dt)
+        finally:
+            if v_preferred is not None:
+                self._rhs[8:] = 0.0
         after = tuple([p + speed * dt for p, speed in zip(now, v, strict=True)])
         return IkSolution(after, tuple(v), residual, active)
 

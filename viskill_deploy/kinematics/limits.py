@@ -77,7 +77,8 @@ class JointLimits:
             for joint in arm.joints
         ]
         lower = [low + margin for low, margin in zip(arm.limit(0), margins, strict=True)]
-        lower[2] = max(lower[2], arm.insertion_min_m + arm.gate.position_margin_m)
+        if arm.has_remote_centre:
+            lower[2] = max(lower[2], arm.insertion_min_m + arm.gate.position_margin_m)
         return cls(
             lower=tuple(lower),
             upper=tuple(high - m for high, m in zip(arm.limit(1), margins, strict=True)),

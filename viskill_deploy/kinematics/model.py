@@ -19,7 +19,8 @@ TIP_FRAME = "tip"
 """Frame at the control point: origin on the wrist-yaw axis, z forward."""
 
 SHAFT_FRAME = "shaft"
-"""Frame on the instrument's shaft: origin on the wrist-pitch axis, z along the shaft."""
+"""Frame on the instrument's shaft: origin on the wrist-pitch axis, z along the shaft. A straight
+instrument's is that of its tip."""
 
 ROLL = 3
 """Index of the joint that turns the shaft about itself."""
@@ -65,10 +66,12 @@ def build_model(arm: ArmDescription) -> pin.Model:
             joint.name,
             *(np.array([value]) for value in (effort, speed, lower, upper)),
         )
-        if index == ROLL:
+        if index == ROLL and arm.has_remote_centre:
             model.addFrame(pin.Frame(SHAFT_FRAME, parent, pin.SE3.Identity(), pin.OP_FRAME))
-    tip = pin.SE3(arm.tip_rotation, np.zeros(3))
+    tip = pin.SE3(arm.tip_rotation, np.array(arm.tip_position))
     model.addFrame(pin.Frame(TIP_FRAME, parent, tip, pin.OP_FRAME))
+    if not arm.has_remote_centre:
+        model.addFrame(pin.Frame(SHAFT_FRAME, parent, tip, pin.OP_FRAME))
     return model
 
 
@@ -77,7 +80,7 @@ def forward_batch(arm: ArmDescription, q: FloatArray) -> FloatArray:
 
     Args:
         arm: the arm.
-        q: joint positions, (N, 6), rad and m.
+        q: joint positions, (N, joints), rad and m.
 
     Returns:
         `T_base_tip` of each, (N, 4, 4), m.
@@ -88,6 +91,7 @@ def forward_batch(arm: ArmDescription, q: FloatArray) -> FloatArray:
     pose = _chain(arm, checked_rows(q, len(arm.joints), "q"), len(arm.joints))
     result = pose.copy()
     result[:, :3, :3] = pose[:, :3, :3] @ arm.tip_rotation
+    result[:, :3, 3] += pose[:, :3, :3] @ np.array(arm.tip_position)
     return result
 
 
@@ -96,12 +100,12 @@ def tip_positions(arm: ArmDescription, q: FloatArray) -> FloatArray:
 
     Args:
         arm: the arm.
-        q: joint positions, (..., 6), rad and m.
+        q: joint positions, (..., joints), rad and m.
 
     Returns:
         Base frame, (..., 3), m.
     """
-    tip = np.zeros((3, q[..., 0].size))
+    tip = np.zeros((3, q[..., 0].size)) + np.array(arm.tip_position)[:, None]
     for index in range(len(arm.joints) - 1, -1, -1):
         joint, value = arm.joints[index], q[..., index].reshape(-1)
         if joint.type == "prismatic":
@@ -119,10 +123,13 @@ def port_distances(arm: ArmDescription, q: FloatArray, port: FloatArray) -> Floa
 
     Args:
         arm: the arm.
-        q: joint positions, (N, 6), rad and m.
+        q: joint positions, (N, joints), rad and m.
         port: base frame, (3,) m.
     """
-    shaft = _chain(arm, checked_rows(q, len(arm.joints), "q"), ROLL + 1)
+    if arm.has_remote_centre:
+        shaft = _chain(arm, checked_rows(q, len(arm.joints), "q"), ROLL + 1)
+    else:
+        shaft = forward_batch(arm, q)
     offset = np.asarray(port) - shaft[:, :3, 3]
     across = np.einsum("nij,ni->nj", shaft[:, :3, :2], offset)
     distances: FloatArray = np.hypot(across[:, 0], across[:, 1])

@@ -18,19 +18,26 @@ They are part of what a plan means and no arm's limits: the path depends on its 
 these numbers alone, so an arm with lower limits runs the same path under a slower clock.
 """
 
+Rates = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+"""Velocity, acceleration and jerk of each axis."""
+
 POSITION_MARGINS = 2.0
 """Plans stay this many of the gate's position margins away from a joint limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlanLimits:
-    """Limits of the seven axes of an arm (six joints, then the jaw), rad or m, s."""
+    """Limits of the axes of an arm (its joints, then the jaw), rad or m, s.
+
+    `shape_rates` are velocity, acceleration and jerk at which its paths are drawn.
+    """
 
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     velocity: tuple[float, ...]
     acceleration: tuple[float, ...]
     jerk: tuple[float, ...]
+    shape_rates: Rates = (SHAPE_VELOCITY, SHAPE_ACCELERATION, SHAPE_JERK)
 
     @classmethod
     def of(cls, arm: ArmDescription, fraction: float = PLAN_FRACTION) -> PlanLimits:
@@ -51,18 +58,20 @@ class PlanLimits:
             tuple(fraction * x for x in (*arm.limit(2 + i), jaw_rates[i])) for i in range(3)
         )
         lower = [x + m for x, m in zip(arm.limit(0), margins, strict=True)]
-        lower[2] = max(lower[2], arm.insertion_min_m + margins[2])
+        if arm.has_remote_centre:
+            lower[2] = max(lower[2], arm.insertion_min_m + margins[2])
         return cls(
             lower=(*lower, jaw.lower_rad),
             upper=(*(x - m for x, m in zip(arm.limit(1), margins, strict=True)), jaw.upper_rad),
             velocity=velocity,
             acceleration=acceleration,
             jerk=jerk,
+            shape_rates=_shape_rates(arm),
         )
 
     def shape(self) -> PlanLimits:
         """These position limits with the rates at which paths are drawn."""
-        return PlanLimits(self.lower, self.upper, SHAPE_VELOCITY, SHAPE_ACCELERATION, SHAPE_JERK)
+        return PlanLimits(self.lower, self.upper, *self.shape_rates, self.shape_rates)
 
     def clock(self, velocity: FloatArray, acceleration: FloatArray, jerk: FloatArray) -> float:
         """How much slower time has to pass for a motion with these peaks (axes,) to be inside."""
@@ -82,4 +91,17 @@ class PlanLimits:
             tuple(x * k for x in self.velocity),
             tuple(x * k**2 for x in self.acceleration),
             tuple(x * k**3 for x in self.jerk),
+            self.shape_rates,
         )
+
+
+def _shape_rates(arm: ArmDescription) -> Rates:
+    """A PSM's own; another arm's joints are drawn like a PSM's first ones, and its jaw like its."""
+    own = (SHAPE_VELOCITY, SHAPE_ACCELERATION, SHAPE_JERK)
+    if arm.has_remote_centre:
+        return own
+    slides = [joint.type == "prismatic" for joint in arm.joints]
+    velocity, acceleration, jerk = (
+        (*(rate[2] if slide else rate[0] for slide in slides), rate[-1]) for rate in own
+    )
+    return velocity, acceleration, jerk

@@ -12,7 +12,7 @@ import numpy as np
 from viskill_deploy.core.cables import STIFF, WRIST
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import FloatArray, Waypoint
-from viskill_deploy.kinematics.arm import Arm
+from viskill_deploy.kinematics.straight import placed_arm
 from viskill_deploy.motion.smoothing import AxisMotion
 
 
@@ -27,14 +27,14 @@ class CellLinks:
     """
 
     def __init__(self, cell: CellDescription) -> None:
-        self.arms = [Arm(entry.arm) for entry in cell.arms]
+        self.arms = [placed_arm(entry) for entry in cell.arms]
         self._T_task_base = [entry.T_task_base for entry in cell.arms]
         self._T_base_task = [np.linalg.inv(T) for T in self._T_task_base]
         self._cables = [entry.cables for entry in cell.arms]
         self._turns = [np.zeros(3) for _ in cell.arms]  # which way each wrist was sent last
 
     def tips(self, joints: Sequence[Sequence[float]]) -> list[FloatArray]:
-        """T_task_tip of every arm for its reported joints (6,), (4, 4) each."""
+        """T_task_tip of every arm for its reported joints (n,), (4, 4) each."""
         return [
             T.dot(arm.pose(self._true(index, q)))
             for index, (T, arm, q) in enumerate(
@@ -43,13 +43,14 @@ class CellLinks:
         ]
 
     def targets(self, waypoint: Waypoint, start: Sequence[AxisMotion]) -> list[list[float]]:
-        """Axis positions at a waypoint, (7,) an arm; the roll turn nearest to `start`.
+        """Axis positions at a waypoint, (axes,) an arm; of all solutions the nearest to `start`.
 
         Raises:
-            NoSolutionError: the waypoint is out of an arm's reach.
+            NoSolutionError: the waypoint is out of a PSM's reach.
+            KinematicsError: it is out of another arm's.
         """
         return [
-            [*self._told(index, arm.inverse(back @ T, motion.p[:6]), motion), jaw]
+            [*self._told(index, arm.inverse(back @ T, motion.p[:-1]), motion), jaw]
             for index, (arm, back, T, motion, jaw) in enumerate(
                 zip(
                     self.arms,
@@ -74,6 +75,6 @@ class CellLinks:
     def _told(self, arm: int, q: FloatArray, motion: AxisMotion) -> list[float]:
         """What to command so that the joints come to `q`; remembers the way that it turns."""
         if self._cables[arm] != STIFF:
-            told = np.array(motion.p[:6])
+            told = np.array(motion.p[:-1])
             q, self._turns[arm] = self._cables[arm].follow(q, told, self._turns[arm])
         return list(map(float, q))

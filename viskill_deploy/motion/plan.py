@@ -22,7 +22,8 @@ from viskill_deploy.core.errors import MotionError
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.kinematics.model import forward_batch
 from viskill_deploy.motion.limits import PlanLimits
-from viskill_deploy.motion.smoothing import AXES, AxisMotion, inside, is_direct, peaks, travel_time
+from viskill_deploy.motion.port_path import PathRun, port_runs
+from viskill_deploy.motion.smoothing import AxisMotion, inside, is_direct, peaks, travel_time
 
 SCALE_STEP = 1.15
 """Growth of the shape time scale from one try to the next."""
@@ -78,7 +79,7 @@ class JointPlan:
         stretch: time of the plan over the time that its waypoints meant, >= 1.
     """
 
-    runs: tuple[Run, ...]
+    runs: tuple[Run | PathRun, ...]
     waypoint_times: tuple[float, ...]
     stretch: float
 
@@ -93,14 +94,14 @@ class JointPlan:
         return self.runs[index].at(t - self.runs[index].start_s)
 
     def table(self, period_s: float) -> FloatArray:
-        """Positions, velocities, accelerations after each control period, (n, arms, 3, 7)."""
+        """Positions, velocities, accelerations after each control period, (n, arms, 3, axes)."""
         count = math.ceil(self.duration_s / period_s - 1e-9)
         times = [(i + 1) * period_s for i in range(count)]
         return np.array([[(m.p, m.v, m.a) for m in self.at(t)] for t in times])
 
 
 def waypoint_velocities(q: FloatArray, step_s: float) -> FloatArray:
-    """Axis velocities at the waypoints, same shape as `q` (n, arms, 7).
+    """Axis velocities at the waypoints, same shape as `q` (n, arms, axes).
 
     Central differences, lowered to at most 1.5 times the slower neighbour so that no axis
     overshoots, zero at a turn, at the ends, and for all axes wherever a jaw starts or stops.
@@ -110,7 +111,7 @@ def waypoint_velocities(q: FloatArray, step_s: float) -> FloatArray:
     least = np.minimum(np.abs(before), np.abs(after))
     central = np.minimum(np.abs(before + after) / 2, 1.5 * least)
     inner = np.where(before * after > 0, np.sign(before) * central, 0.0)
-    jaw_changes = (np.abs(before[..., 6] - after[..., 6]) * step_s > STILL).any(axis=1)
+    jaw_changes = (np.abs(before[..., -1] - after[..., -1]) * step_s > STILL).any(axis=1)
     inner[jaw_changes] = 0.0
     v = np.zeros_like(q)
     v[1:-1] = inner
@@ -147,7 +148,7 @@ def smooth(
 
     Args:
         cell: the arms, their limits and the tip speed.
-        q: axis positions at the waypoints, (n, arms, 7), the first where the arms are; n >= 2.
+        q: axis positions at the waypoints, (n, arms, axes), the first where the arms are; n >= 2.
         step_s: time that each step is meant to take.
         speed: part of the planned tip speed to use, in (0, 1].
         rests: waypoints at which all arms have to stand still.
@@ -157,10 +158,14 @@ def smooth(
             limits.
     """
     q = np.asarray(q, dtype=np.float64)
-    if q.ndim != 3 or q.shape[0] < 2 or q.shape[1:] != (len(cell.arms), AXES):
-        raise MotionError(f"a plan needs waypoints of shape (n >= 2, arms, 7), got {q.shape}")
+    if q.ndim != 3 or q.shape[0] < 2 or q.shape[1:] != (len(cell.arms), cell.arms[0].arm.axes):
+        raise MotionError(f"a plan needs waypoints of shape (n >= 2, arms, axes), got {q.shape}")
     if not np.isfinite(q).all() or not (0.0 < speed <= 1.0 and step_s > 0.0):
         raise MotionError("waypoints must be finite, speed in (0, 1] and step_s positive")
+    tip_speed_m_s = PLAN_FRACTION * speed * cell.file.motion.tip_speed_m_s
+    if not all(arm.arm.has_remote_centre for arm in cell.arms):
+        paths, met = port_runs(cell, q, step_s, tip_speed_m_s, rests)
+        return JointPlan(tuple(paths), tuple(met), met[-1] / (step_s * (len(q) - 1)))
     limits = tuple(PlanLimits.of(arm.arm) for arm in cell.arms)
     v = waypoint_velocities(q, step_s)
     v[list(rests)] = 0.0
@@ -168,7 +173,7 @@ def smooth(
     times, now = [0.0], 0.0
     for first, last in _rest_to_rest(v):
         run = _drawn(limits, q[first : last + 1], v[first : last + 1], step_s, now, first)
-        run = _slowed(run, cell, PLAN_FRACTION * speed * cell.file.motion.tip_speed_m_s)
+        run = _slowed(run, cell, tip_speed_m_s)
         runs.append(run)
         times += [now + (i + 1) * step_s * run.scale for i in range(last - first)]
         now = times[-1]
@@ -204,7 +209,7 @@ def _segments(
     limits: Sequence[PlanLimits], q: FloatArray, v: FloatArray, step_s: float
 ) -> tuple[tuple[Any, ...], ...] | None:
     rows = []
-    rest = (0.0,) * AXES
+    rest = (0.0,) * q.shape[2]
     for i in range(len(q) - 1):
         row = []
         for arm, limit in enumerate(limits):
@@ -236,7 +241,7 @@ def _slowed(run: Run, cell: CellDescription, tip_speed_m_s: float) -> Run:
     """The same run with a slower clock, so that no tip is faster than `tip_speed_m_s`."""
     count = max(2, 40 * len(run.segments))
     times = np.linspace(0.0, run.duration_s, count + 1)
-    q = np.array([[m.p[:6] for m in run.at(t)] for t in times])
+    q = np.array([[m.p[:-1] for m in run.at(t)] for t in times])
     fastest = 0.0
     for index, arm in enumerate(cell.arms):
         steps = np.diff(forward_batch(arm.arm, q[:, index])[:, :3, 3], axis=0)

@@ -9,17 +9,18 @@ import pinocchio
 
 from viskill_deploy.core.cables import STIFF, WRIST
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.errors import MotionError
+from viskill_deploy.core.errors import KinematicsError, MotionError
 from viskill_deploy.core.types import FloatArray, Waypoint
 from viskill_deploy.kinematics.closed_form import inverse_batch
 from viskill_deploy.kinematics.model import forward_batch
+from viskill_deploy.kinematics.straight import placed_arm
 
 CHORD_M, CHORD_RAD = 0.009, 0.55
 """Waypoints farther apart than this get others between them, so that the tip follows the chord."""
 
 
 def task_poses(cell: CellDescription, arm: int, q: FloatArray) -> FloatArray:
-    """T_task_tip of one arm for joint positions (n, 6), as (n, 4, 4)."""
+    """T_task_tip of one arm for joint positions (n, joints), as (n, 4, 4)."""
     poses: FloatArray = cell.arms[arm].T_task_base @ forward_batch(cell.arms[arm].arm, q)
     return poses
 
@@ -35,14 +36,14 @@ def base_poses(cell: CellDescription, arm: int, T_task_tip: FloatArray) -> Float
 
 
 def waypoint_at(cell: CellDescription, axes: Sequence[Sequence[float]] | FloatArray) -> Waypoint:
-    """The waypoint at which the arms stand, from axis positions (7,) an arm, jaw last."""
+    """The waypoint at which the arms stand, from axis positions (axes,) an arm, jaw last."""
     rows = np.array(axes, dtype=np.float64)
     for row, arm in zip(rows, cell.arms, strict=True):
         if arm.cables != STIFF:
-            row[WRIST] += arm.cables.error(row[:6], np.zeros(3))
+            row[WRIST] += arm.cables.error(row[:-1], np.zeros(3))
     return Waypoint(
-        tuple(task_poses(cell, i, rows[i : i + 1, :6])[0] for i in range(len(cell.arms))),
-        tuple(rows[:, 6].tolist()),
+        tuple(task_poses(cell, i, rows[i : i + 1, :-1])[0] for i in range(len(cell.arms))),
+        tuple(rows[:, -1].tolist()),
         cell.file.motion.step_s,
     )
 
@@ -50,22 +51,25 @@ def waypoint_at(cell: CellDescription, axes: Sequence[Sequence[float]] | FloatAr
 def resolve(
     cell: CellDescription, waypoints: Sequence[Waypoint], start: Sequence[Sequence[float]]
 ) -> FloatArray:
-    """Axis positions at the start and at every waypoint, (1 + n, arms, 7).
+    """Axis positions at the start and at every waypoint, (1 + n, arms, axes).
 
     Args:
         cell: the arms in their places.
         waypoints: where the tips shall be.
-        start: present axis positions, (7,) an arm; roll turns follow on from them.
+        start: present axis positions, (axes,) an arm; roll turns follow on from them.
 
     Raises:
         MotionError: a waypoint is out of an arm's reach, or the roll would have to unwind; names
             arm and waypoint.
     """
-    q = np.empty((1 + len(waypoints), len(cell.arms), 7))
+    q = np.empty((1 + len(waypoints), len(cell.arms), cell.arms[0].arm.axes))
     q[0] = start
     for index, arm in enumerate(cell.arms):
         poses = np.array([w.T_task_tip[index] for w in waypoints])
-        q[1:, index, 6] = [w.jaw[index] for w in waypoints]
+        q[1:, index, -1] = [w.jaw[index] for w in waypoints]
+        if not arm.arm.has_remote_centre:
+            q[1:, index, :-1] = _one_by_one(cell, index, poses, q[0, index, :-1])
+            continue
         seeds = np.broadcast_to(q[0, index, :6], (len(waypoints), 6))
         solved, reached = inverse_batch(arm.arm, base_poses(cell, index, poses), seeds)
         if not reached.all():
@@ -84,6 +88,22 @@ def resolve(
         if arm.cables != STIFF:
             q[:, index, :6] = arm.cables.along(q[:, index, :6])
     return q
+
+
+def _one_by_one(
+    cell: CellDescription, index: int, poses: FloatArray, start: FloatArray
+) -> FloatArray:
+    """Joints of an arm without a closed form along a path, each pose from the one before."""
+    arm = cell.arms[index]
+    try:
+        return placed_arm(arm).resolve(base_poses(cell, index, poses), start)
+    except KinematicsError as error:
+        raise MotionError(f"{arm.name}: {error}") from error
+
+
+def start_seeds(cell: CellDescription) -> list[tuple[float, ...]]:
+    """Axis positions near which the cell's start pose is looked for, jaw last."""
+    return [(*arm.seed, 0.0) for arm in cell.arms]
 
 
 def _unwrapped(roll: FloatArray, lower: float, upper: float) -> FloatArray:
@@ -112,7 +132,7 @@ def densified(waypoints: Sequence[Waypoint]) -> list[Waypoint]:
         for part in range(1, parts + 1):
             dense.append(
                 Waypoint(
-                    tuple(_between(a, b, part / parts) for a, b in pairs),
+                    tuple(between(a, b, part / parts) for a, b in pairs),
                     goal.jaw if part == parts else last.jaw,
                     goal.step_s,
                     goal.skill,
@@ -129,7 +149,8 @@ def _parts(a: FloatArray, b: FloatArray) -> int:
     return int(np.ceil(max(distance / CHORD_M, angle / CHORD_RAD) - 1e-9))
 
 
-def _between(a: FloatArray, b: FloatArray, share: float) -> FloatArray:
+def between(a: FloatArray, b: FloatArray, share: float) -> FloatArray:
+    """The pose at a part of the chord from `a` to `b`, turned by that part of the way, (4, 4)."""
     pose = np.eye(4)
     pose[:3, 3] = a[:3, 3] + share * (b[:3, 3] - a[:3, 3])
     pose[:3, :3] = a[:3, :3] @ pinocchio.exp3(share * pinocchio.log3(a[:3, :3].T @ b[:3, :3]))

@@ -23,7 +23,7 @@ from viskill_deploy.kinematics.model import forward_batch
 from viskill_deploy.motion.limits import PlanLimits
 
 AXES = 7
-"""Six joints and the jaw."""
+"""A PSM's: six joints and the jaw."""
 
 ATTEMPTS = 12
 LAST_FAST_ATTEMPT = 7
@@ -45,7 +45,7 @@ the planned speed must not stretch for ever over a rounding error."""
 
 @dataclass(frozen=True, slots=True)
 class AxisMotion:
-    """Position, velocity and acceleration of an arm's seven axes (jaw last), rad or m, s."""
+    """Position, velocity and acceleration of an arm's axes (jaw last), rad or m, s."""
 
     p: Joints
     v: Joints
@@ -58,7 +58,7 @@ class AxisMotion:
 
     def setpoint(self) -> JointSetpoint:
         """What is sent for this state."""
-        return JointSetpoint(self.p[:6], self.v[:6], self.p[6], self.v[6])
+        return JointSetpoint(self.p[:-1], self.v[:-1], self.p[-1], self.v[-1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,10 +85,10 @@ class Segment:
         return tuple(states)
 
     def table(self, period_s: float) -> tuple[FloatArray, FloatArray]:
-        """Positions and velocities after each control period, both (n, arms, 7)."""
+        """Positions and velocities after each control period, both (n, arms, axes)."""
         times = [(i + 1) * period_s for i in range(round(self.duration_s / period_s))]
         rows = [[tr.at_time(min(t, tr.duration)) for tr in self.trajectories] for t in times]
-        samples = np.array(rows)  # (n, arms, 3, 7)
+        samples = np.array(rows)  # (n, arms, 3, axes)
         return samples[:, :, 0], samples[:, :, 1]
 
 
@@ -145,7 +145,7 @@ def is_direct(trajectory: Any, start: AxisMotion, target: Sequence[float]) -> bo
 
 def _request(limits: PlanLimits, start: AxisMotion) -> Any:
     """Ruckig's input with limits and start filled in."""
-    request = ruckig.InputParameter(AXES)
+    request = ruckig.InputParameter(len(start.p))
     request.current_position = list(start.p)
     request.current_velocity = list(start.v)
     request.current_acceleration = [
@@ -158,9 +158,10 @@ def _request(limits: PlanLimits, start: AxisMotion) -> Any:
 
 
 def _calculated(request: Any) -> Any:
-    trajectory = ruckig.Trajectory(AXES)
+    axes = request.degrees_of_freedom
+    trajectory = ruckig.Trajectory(axes)
     try:
-        ruckig.Ruckig(AXES).calculate(request, trajectory)
+        ruckig.Ruckig(axes).calculate(request, trajectory)
     except (ruckig.RuckigError, ValueError) as error:
         raise MotionError(f"no jerk-limited motion: {error}") from error
     return trajectory
@@ -169,17 +170,17 @@ def _calculated(request: Any) -> Any:
 def passing_velocity(
     start: Sequence[AxisMotion], target: FloatArray, step_s: float
 ) -> list[list[float]]:
-    """Axis velocities wished at a waypoint: displacement over step, jaw at rest; (7,) an arm.
+    """Axis velocities wished at a waypoint: displacement over step, jaw at rest; (axes,) an arm.
 
     Args:
         start: where the arms are.
-        target: axis positions at the waypoint, (arms, 7).
+        target: axis positions at the waypoint, (arms, axes).
         step_s: time that the step is meant to take, s.
     """
     rows = []
     for motion, goal in zip(start, target, strict=True):
         v = ((goal - np.array(motion.p)) / step_s).tolist()
-        v[6] = 0.0
+        v[-1] = 0.0
         rows.append(v)
     return rows
 
@@ -236,9 +237,9 @@ class SegmentPlanner:
 
         Args:
             start: present state of every arm, as commanded.
-            target: axis positions at the end, (7,) an arm.
-            end_velocity: axis velocities wished at the end, (7,) an arm; lowered as the limits and
-                the stretch demand.
+            target: axis positions at the end, (axes,) an arm.
+            end_velocity: axis velocities wished at the end, (axes,) an arm; lowered as the limits
+                and the stretch demand.
             step_s: the time that the policy means it to take.
 
         Raises:
@@ -278,7 +279,7 @@ class SegmentPlanner:
         for limits, state in zip(self.limits, start, strict=True):
             request = _request(limits, state)
             request.control_interface = ruckig.ControlInterface.Velocity
-            request.target_velocity = [0.0] * AXES
+            request.target_velocity = [0.0] * len(state.p)
             trajectories.append(_calculated(request))
         duration = self._whole_periods(max(t.duration for t in trajectories))
         return Segment(duration, 1.0, tuple(trajectories))
@@ -289,7 +290,7 @@ class SegmentPlanner:
         motions = [segment.at(i * piece_s) for i in range(TIP_SAMPLES + 1)]
         fastest = 0.0
         for index, arm in enumerate(self.cell.arms):
-            q = np.array([motion[index].p[:6] for motion in motions])
+            q = np.array([motion[index].p[:-1] for motion in motions])
             steps = np.diff(forward_batch(arm.arm, q)[:, :3, 3], axis=0)
             fastest = max(fastest, float(np.sqrt((steps**2).sum(axis=1).max())))
         return fastest / piece_s

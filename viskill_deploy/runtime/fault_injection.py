@@ -15,6 +15,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import pinocchio as pin
+
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DriverError, IkError
 from viskill_deploy.core.types import (
@@ -226,13 +228,14 @@ class FaultyLine(Line):
         super().__init__(cell, period_s, ik_solver, speed)
         self._faults = faults
 
-    def _tick(self, index: int, motion: AxisMotion) -> tuple[Joints, Joints]:
+    def _tick(self, index: int, goal: pin.SE3, motion: AxisMotion) -> tuple[Joints, Joints, Joints]:
         if self._faults.on("infeasible"):
             raise IkError("infeasible", "the QP has no solution (fault)")
-        q, v = super()._tick(index, motion)
+        q, v, end = super()._tick(index, goal, motion)
         if index == 0 and self._faults.on("spike"):
             q = (q[0] + SPIKE_RAD, *q[1:])
-        return q, v
+            end = (end[0] + SPIKE_RAD / self.period_s, *end[1:])
+        return q, v, end
 
 
 class WitnessingRecorder:

@@ -8,24 +8,26 @@ remote centre at the registered port. While no limit is active the QP returns th
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
 
-from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.description import CellArm, CellDescription
 from viskill_deploy.core.errors import KinematicsError, MotionError, ViskillError
 from viskill_deploy.core.types import (
     CellState,
-    FloatArray,
     Joints,
     JointSetpoint,
     Request,
     Waypoint,
 )
+from viskill_deploy.kinematics.arm import Arm
 from viskill_deploy.kinematics.ik import IkSolver
 from viskill_deploy.kinematics.model import SHAFT_FRAME
 from viskill_deploy.kinematics.port import PortConstraint
+from viskill_deploy.kinematics.straight import DAMPING, StraightArm
 from viskill_deploy.motion.links import CellLinks
 from viskill_deploy.motion.smoothing import (
     AxisMotion,
@@ -48,6 +50,9 @@ speed this adds 7 rad/s³ to a joint, a twentieth of what the gate allows."""
 
 PHASE_TOLERANCE = 1e-6
 """Seconds by which a sum of control periods may miss the end of a motion: rounding."""
+
+LEAST = 1e-9
+"""Damping of a PSM's QP, whose task leaves nothing open."""
 
 AT_REST = 1e-6
 """Rad/s or m/s below which an axis counts as standing still."""
@@ -92,16 +97,17 @@ class Line:
         self.ik_solver, self.speed = ik_solver, speed
         self._planner = SegmentPlanner(cell, period_s)
         self.links = CellLinks(cell)
-        self._arms = self.links.arms
+        self._arms: Sequence[Arm] = self.links.arms
         self._bases = [entry.T_task_base[:3].tolist() for entry in cell.arms]
         self._iks = [
-            IkSolver.for_arm(arm, port=_port(entry.port_in_base), solver=ik_solver)
+            IkSolver.for_arm(arm, port=_port(entry), solver=ik_solver, damping=_damping(arm))
             for arm, entry in zip(self._arms, cell.arms, strict=True)
         ]
         self._reference: tuple[AxisMotion, ...] = ()
         self._in_phase: tuple[AxisMotion, ...] = ()  # the same by the time of the motion
         self._rate_change = 0.0
-        self._commanded: list[tuple[Joints, Joints]] = []
+        # joints, mean velocities over the last period, velocities at its end
+        self._commanded: list[tuple[Joints, Joints, Joints]] = []
         self._motion: Motion | None = None
         self._phase, self._fault = 0.0, ""
         self._brake: Segment | None = None
@@ -133,6 +139,12 @@ class Line:
             last: the motion ends at rest there.
         """
         start = self._present()
+        if not all(entry.arm.has_remote_centre for entry in self.cell.arms):
+            self.fail(
+                "going from waypoint to waypoint needs a remote centre by mechanism; make a plan "
+                "of the whole path"
+            )
+            return 1.0
         try:
             target = self.links.targets(waypoint, start)
             rest = [[0.0] * len(row) for row in target]
@@ -153,8 +165,8 @@ class Line:
     def setpoints(self) -> tuple[JointSetpoint, ...]:
         """What the line has asked for last."""
         return tuple(
-            JointSetpoint(q, self._end_velocity(q, motion), motion.p[6], motion.v[6])
-            for (q, _), motion in zip(self._commanded, self._reference, strict=True)
+            JointSetpoint(q, end, motion.p[-1], motion.v[-1])
+            for (q, _, end), motion in zip(self._commanded, self._reference, strict=True)
         )
 
     @property
@@ -209,9 +221,12 @@ class Line:
         observation: tuple[float, ...] = (),
     ) -> Request:
         """The request for smoothed states of all arms: each goes once more through its QP."""
-        goals = [arm.forward(m.p[:6]) for arm, m in zip(self._arms, reference, strict=True)]
         try:
-            commanded = [self._tick(i, goal) for i, goal in enumerate(goals)]
+            goals = [_goal(arm, m.p[:-1]) for arm, m in zip(self._arms, reference, strict=True)]
+            commanded = [
+                self._tick(i, goal, m)
+                for i, (goal, m) in enumerate(zip(goals, reference, strict=True))
+            ]
         except KinematicsError as error:
             return Request(None, failure=str(error))
         self._commanded, self._reference = commanded, reference
@@ -221,7 +236,7 @@ class Line:
     def place(self, reference: tuple[AxisMotion, ...]) -> None:
         """Takes a moving state of all arms for what was commanded last."""
         self._reference = self._in_phase = reference
-        self._commanded = [(m.p[:6], m.v[:6]) for m in reference]
+        self._commanded = [(m.p[:-1], m.v[:-1], m.v[:-1]) for m in reference]
 
     def advance(self, speed_scale: float) -> None:
         """Lets the time base run for one period, as fast as the gate agrees to."""
@@ -258,11 +273,18 @@ class Line:
             for m in sampled
         )
 
-    def _tick(self, index: int, goal: pin.SE3) -> tuple[Joints, Joints]:
-        """One QP: joints of an arm at the end of the period, and mean velocities over it."""
-        q, v = self._commanded[index]
-        solution = self._iks[index].step(q, v, goal, self.period_s)
-        return solution.q, solution.v
+    def _tick(self, index: int, goal: pin.SE3, motion: AxisMotion) -> tuple[Joints, Joints, Joints]:
+        """One QP: joints of an arm at the end of the period, velocities over it and at its end."""
+        q, v, _ = self._commanded[index]
+        if self._arms[index].description.has_remote_centre:
+            solution = self._iks[index].step(q, v, goal, self.period_s)
+            return solution.q, solution.v, self._end_velocity(solution.q, motion)
+        # What the task leaves open stays near the segment; the port takes the joints off it, so
+        # the speed at the end is known from their own last steps.
+        wish = [(p - now) / self.period_s for p, now in zip(motion.p, q, strict=False)]
+        solution = self._iks[index].step(q, v, goal, self.period_s, v_preferred=wish)
+        end = tuple([1.5 * new - 0.5 * old for new, old in zip(solution.v, v, strict=True)])
+        return solution.q, solution.v, end
 
     def _end_velocity(self, q: Joints, motion: AxisMotion) -> Joints:
         """Velocities at the end of the period, which the servo is fed; the QP knows the mean."""
@@ -275,11 +297,11 @@ class Line:
         By the time of the motion, which is slower than the clock's while the rate is below 1.
         """
         motions = []
-        for motion, (q, v) in zip(self._in_phase, self._commanded, strict=True):
+        for motion, (q, v, _) in zip(self._in_phase, self._commanded, strict=True):
             gap = max(abs(a - b) for a, b in zip(motion.p, q, strict=False))
             if gap > OFF_REFERENCE:
-                rest, along = (0.0,) * 7, [x / self.rate for x in v]
-                motions.append(AxisMotion((*q, motion.p[6]), (*along, motion.v[6]), rest))
+                rest, along = (0.0,) * len(motion.p), [x / self.rate for x in v]
+                motions.append(AxisMotion((*q, motion.p[-1]), (*along, motion.v[-1]), rest))
             else:
                 motions.append(motion)
         return tuple(motions)
@@ -291,8 +313,19 @@ def _in_task(base: list[list[float]], T_base_tip: pin.SE3) -> Joints:
     return tuple([a * x + b * y + c * z + d for a, b, c, d in base])
 
 
-def _port(port_in_base: FloatArray) -> PortConstraint | None:
+def _goal(arm: Arm, q: Joints) -> pin.SE3:
+    """Where the tip shall be: where the joints bring it, and with its shaft in the port."""
+    pose = arm.forward(q)
+    return arm.aimed(pose) if isinstance(arm, StraightArm) else pose
+
+
+def _damping(arm: Arm) -> float:
+    """Of the QP: what settles an elbow that is free, where there is one."""
+    return LEAST if arm.description.has_remote_centre else DAMPING
+
+
+def _port(entry: CellArm) -> PortConstraint | None:
     """The remote-centre rows; none where the port is the mechanical centre and they are 0 = 0."""
-    if not port_in_base.any():
+    if entry.arm.has_remote_centre and not entry.port_in_base.any():
         return None
-    return PortConstraint(port_in_base, SHAFT_FRAME, np.array([0.0, 0.0, 1.0]))
+    return PortConstraint(entry.port_in_base, SHAFT_FRAME, np.array([0.0, 0.0, 1.0]))

@@ -27,6 +27,25 @@ CLASSIC_RANGE: Final = ((-1.588, 1.588), (-0.925025, 0.925025), (0.0, 0.24))
 SI_RANGE: Final = ((-2.964, 2.964), (-1.265, 1.301), (0.0, 0.29))
 """rad, rad, m. The same for the Si arm."""
 
+OWN_RANGE: Final = (2.0 * math.pi, 1.0)
+"""rad, m, either way, of an arm of a lab's own; its file has the true range."""
+
+OWN_RATES: Final = ((1.57, 0.2), (7.85, 1.0), (157.0, 20.0))
+"""Speed, acceleration and jerk of its joints, rad and m, s: those of a PSM's first three."""
+
+OWN_FIRST_COMMAND: Final = (0.001, 0.001)
+"""rad, m. Its joints are up to a metre from the tip."""
+
+OWN_TRACKING: Final = (0.006, 0.003, 0.006)
+"""rad, m, rad for its last three joints: 6 mm at the tip of an arm that is a metre long."""
+
+OWN_PORT_M: Final = 2.0
+"""Farthest port from its base on each axis."""
+
+OWN_TIP_M: Final = 0.7
+"""Farthest tip from its flange on each axis, and the longest shaft: the longest instruments of
+laparoscopy are 0.45 m."""
+
 SI_SHAFT_OFFSET_M: Final = -0.4826
 """Insertion offset by which an Si arm is known; any other arm has to fit the Classic range."""
 

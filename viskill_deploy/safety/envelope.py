@@ -10,6 +10,7 @@ import numpy as np
 
 from viskill_deploy.core.description import ArmDescription, CellArm, CellDescription
 from viskill_deploy.core.errors import DataFileError
+from viskill_deploy.core.robot_files import Instrument
 from viskill_deploy.core.types import Joints, ObservationRange
 from viskill_deploy.safety import ceilings
 from viskill_deploy.safety.ceilings import check
@@ -20,24 +21,30 @@ ROUNDING = 1e-9
 """Thresholds give this relative width, so that a value exactly at one passes in spite of rounding
 (second differences of positions at 1 kHz carry 2e-10)."""
 
+RATES = ("max_velocity", "max_acceleration", "max_jerk")
+
 
 @dataclass(frozen=True, slots=True)
 class ArmEnvelope:
-    """What one arm may do. Seven entries are six joints and the jaw; rad, m, s.
+    """What one arm may do. Its n axes are its joints, and the jaw as the last of them; rad, m, s.
 
     Attributes:
-        lower, upper: hard limits, (7,).
-        margin: distance that setpoints keep from them, (6,).
-        max_speed, max_acceleration, max_jerk: (7,).
-        first_command: how far the first setpoint may be from the driver's, (6,).
-        insertion_min: insertion with the wrist just past the cannula.
+        lower, upper: hard limits, (n,).
+        margin: distance that setpoints keep from them, (n - 1,).
+        max_speed, max_acceleration, max_jerk: (n,).
+        first_command: how far the first setpoint may be from the driver's, (n - 1,).
+        insertion_min: insertion with the wrist just past the cannula; of an arm without a
+            mechanical remote centre, least depth of the control point past the port.
         slow_value, least_value: singular values of the Jacobian that slow and that hold, m.
-        tracking: how far a measured joint may be from its setpoint, (6,), for `tracking_time`.
+        tracking: how far a measured joint may be from its setpoint, (n - 1,), for `tracking_time`.
         wrist_offset: depth of the wrist past the remote centre at no insertion.
         wrist_length, jaw_length: from the wrist to the control point, from there to the jaw's end.
         port: registered port, task frame.
         port_warn, port_stop: distances of the shaft's axis from it.
         workspace_lower, workspace_upper: box of the control point, task frame.
+        slides: which joints are prismatic, (n - 1,).
+        levers: of an arm without a mechanical remote centre, the most that a joint moves any point
+            behind it, m a rad or m a m, (n - 1,); () of a PSM.
     """
 
     name: str
@@ -67,6 +74,13 @@ class ArmEnvelope:
     workspace_lower: Point
     workspace_upper: Point
     chain: Chain
+    slides: tuple[bool, ...]
+    levers: Joints = ()
+
+    @property
+    def has_remote_centre(self) -> bool:
+        """Whether a mechanism keeps the shaft in the port."""
+        return not self.levers
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,9 +161,12 @@ class CellEnvelope:
 def _arm(cell_path: Path, cell_arm: CellArm, speed: float) -> ArmEnvelope:
     arm, entry = cell_arm.arm, cell_arm.entry
     _check_gate(arm)
-    _check_joints(arm)
+    if arm.instrument is None:
+        _check_joints(arm)
+    else:
+        _check_own(arm, arm.instrument)
     _check_workspace(cell_path, cell_arm)
-    jaw, gate, chain = arm.jaw, arm.gate, Chain.of(cell_arm)
+    jaw, gate, chain, psm = arm.jaw, arm.gate, Chain.of(cell_arm), arm.has_remote_centre
     by_kind = [joint.type == "prismatic" for joint in arm.joints]
     return ArmEnvelope(
         name=cell_arm.name,
@@ -167,17 +184,17 @@ def _arm(cell_path: Path, cell_arm: CellArm, speed: float) -> ArmEnvelope:
         first_command=_floats(
             *(gate.first_command_m if slides else gate.first_command_rad for slides in by_kind)
         ),
-        insertion_min=float(arm.insertion_min_m),
-        wrist_offset=float(arm.wrist_offset_m),
-        wrist_length=float(arm.joints[5].a_m),
+        insertion_min=float(arm.insertion_min_m if psm else gate.insertion_past_rcm_m),
+        wrist_offset=float(arm.wrist_offset_m if psm else 0.0),
+        wrist_length=float(arm.joints[5].a_m if psm else 0.0),
         jaw_length=float(jaw.finger_length_m),
         port=chain.in_task(entry.port_in_base_m),
         port_warn=float(gate.port_warn_m),
         port_stop=float(gate.port_stop_m),
         feedback_period=float(gate.feedback_period_s),
         tracking=_floats(
-            *(gate.tracking_m if slides else gate.tracking_rad for slides in by_kind[:3]),
-            *(gate.tracking_wrist_rad for _ in by_kind[3:]),
+            *(gate.tracking_m if slides else gate.tracking_rad for slides in by_kind[:-3]),
+            *(gate.tracking_m if slides else gate.tracking_wrist_rad for slides in by_kind[-3:]),
         ),
         tracking_time=float(gate.tracking_s),
         slow_value=float(gate.singular_value_slow_m),
@@ -186,7 +203,57 @@ def _arm(cell_path: Path, cell_arm: CellArm, speed: float) -> ArmEnvelope:
         workspace_lower=entry.workspace_lower_m,
         workspace_upper=entry.workspace_upper_m,
         chain=chain,
+        slides=tuple(by_kind),
+        levers=() if psm else _levers(arm),
     )
+
+
+def _levers(arm: ArmDescription) -> Joints:
+    """The most that each joint moves any point behind it, m a rad or m a m."""
+    levers: list[float] = []
+    behind = math.dist(arm.tip_position, (0.0, 0.0, 0.0)) + arm.jaw.finger_length_m
+    for joint in reversed(arm.joints):
+        levers.append(1.0 if joint.type == "prismatic" else behind)
+        slide = max(map(abs, joint.limits[:2])) if joint.type == "prismatic" else 0.0
+        offset = abs(joint.offset) if joint.type == "prismatic" else 0.0
+        behind += abs(joint.a_m) + abs(joint.d_m) + offset + slide
+    return _floats(*reversed(levers))
+
+
+def _check_own(arm: ArmDescription, instrument: Instrument) -> None:
+    """An arm of a lab's own against ceilings that hold for all its joints alike, and its jaw."""
+    path, gate = arm.files[0], arm.gate
+    for joint in arm.joints:
+        lower, upper, *rates = joint.limits
+        slides = int(joint.type == "prismatic")
+        most = ceilings.OWN_RANGE[slides]
+        check(path, f"{joint.name}.lower", lower, -most, most)
+        check(path, f"{joint.name}.upper", upper, -most, most)
+        margin = gate.position_margin_m if slides else gate.position_margin_rad
+        _positive(path, f"{joint.name} range less margins", upper - lower - 2.0 * margin, 2 * most)
+        for key, rate, ceiling in zip(RATES, rates, ceilings.OWN_RATES, strict=True):
+            _positive(path, f"{joint.name}.{key}", rate, ceiling[slides])
+    _check_jaw(path, arm)
+    first = (gate.first_command_rad, gate.first_command_m)
+    tracking = (gate.tracking_rad, gate.tracking_m, gate.tracking_wrist_rad)
+    for value, most in zip(first, ceilings.OWN_FIRST_COMMAND, strict=True):
+        _positive(path, "gate.first_command", value, most)
+    for value, most in zip(tracking, ceilings.OWN_TRACKING, strict=True):
+        _positive(path, "gate.tracking", value, most)
+    far = ceilings.OWN_TIP_M
+    _positive(path, "instrument.shaft_length_m", instrument.shaft_length_m, far)
+    for value in arm.tip_position:
+        check(path, "instrument.tip_position_m", value, -far, far)
+
+
+def _check_jaw(path: Path, arm: ArmDescription) -> None:
+    jaw, (low, high) = arm.jaw, ceilings.TOOL_RANGE[-1]
+    check(path, "jaw.lower", jaw.lower_rad, low, high)
+    check(path, "jaw.upper", jaw.upper_rad, low, high)
+    rates = (jaw.max_velocity_rad_s, jaw.max_acceleration_rad_s2, jaw.max_jerk_rad_s3)
+    most = (ceilings.MAX_SPEED[-1], ceilings.MAX_ACCELERATION[-1], ceilings.MAX_JERK[-1])
+    for key, rate, ceiling in zip(RATES, rates, most, strict=True):
+        _positive(path, f"jaw.{key}", rate, ceiling)
 
 
 def _check_joints(arm: ArmDescription) -> None:
@@ -245,8 +312,9 @@ def _check_gate(arm: ArmDescription) -> None:
         strict=True,
     ):
         check(arm.files[-1], f"shape.{key}_radius_m", radius, least, ceilings.MAX_RADIUS_M)
-    beyond = arm.joints[2].limits[1] - arm.insertion_min_m
-    _positive(path, "insertion range past the cannula", beyond, 1.0)
+    if arm.has_remote_centre:
+        beyond = arm.joints[2].limits[1] - arm.insertion_min_m
+        _positive(path, "insertion range past the cannula", beyond, 1.0)
     slowest = ceilings.MAX_FEEDBACK_PERIOD_S
     _positive(path, "gate.feedback_period_s", gate.feedback_period_s, slowest)
     for key, ceiling in zip(("rad", "m", "wrist_rad"), ceilings.TRACKING, strict=True):
@@ -266,7 +334,8 @@ def _check_workspace(path: Path, cell_arm: CellArm) -> None:
         _positive(path, key, high - low, ceilings.MAX_WORKSPACE_SIDE_M)
         check(path, key, low, -ceilings.MAX_WORKSPACE_SIDE_M, ceilings.MAX_WORKSPACE_SIDE_M)
     for value in entry.port_in_base_m:
-        offset = ceilings.MAX_PORT_OFFSET_M
+        is_psm = cell_arm.arm.has_remote_centre
+        offset = ceilings.MAX_PORT_OFFSET_M if is_psm else ceilings.OWN_PORT_M
         check(path, f"arm.{cell_arm.name}.port_in_base_m", value, -offset, offset)
     T = cell_arm.T_task_base
     if T.shape != (4, 4) or not abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() < 1e-9:

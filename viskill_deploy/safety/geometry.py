@@ -29,16 +29,26 @@ Link = tuple[bool, float, float, float, float, float]
 class Chain:
     """An arm's links from the last to the first, and where its base stands.
 
+    A PSM's shaft ends at the wrist's first axis, two joints before the tip. A straight instrument
+    has no joint behind its shaft: for it the wrist is the shaft's own end, at the control point.
+
     Attributes:
+        hand: those links that lie behind the shaft's end.
+        arm: the others.
+        below, above: which joints those are, from the last to the first.
         tip_axes: columns of the rotation from the last joint's frame to the tip.
-        jaw_end: end of the closed jaw in the last joint's frame, m.
+        point, jaw_end: control point and end of the closed jaw in the last joint's frame, m.
         wrist, shaft_end: the wrist's first axis, and where the shaft's rounded end begins, in the
-            frame of the roll, m; the shaft's axis is z there.
+            frame of the last joint of `arm`, m.
         T_task_base: first three rows of the base's pose in the task frame.
     """
 
-    links: tuple[Link, ...]
+    hand: tuple[Link, ...]
+    arm: tuple[Link, ...]
+    below: slice
+    above: slice
     tip_axes: tuple[Point, Point, Point]
+    point: Point
     jaw_end: Point
     wrist: Point
     shaft_end: Point
@@ -60,17 +70,26 @@ class Chain:
             for joint in reversed(arm.joints)
         )
         x, y, z = (_point(column) for column in arm.tip_rotation.T.tolist())
-        length = arm.jaw.finger_length_m
-        pitch = arm.joints[4]
-        rise, tilt = pitch.d_m, pitch.alpha_rad
-        wrist = (pitch.a_m, -sin(tilt) * rise, cos(tilt) * rise)
+        length, point = arm.jaw.finger_length_m, arm.tip_position
+        along: Point = z
+        if arm.has_remote_centre:
+            pitch, behind = arm.joints[4], 2
+            rise, tilt = pitch.d_m, pitch.alpha_rad
+            wrist, along = (pitch.a_m, -sin(tilt) * rise, cos(tilt) * rise), (0.0, 0.0, 1.0)
+        else:
+            behind, wrist = 0, point
+        last = len(links) - 1
         rows = [(*map(float, row),) for row in cell_arm.T_task_base.tolist()[:3]]
         return cls(
-            links=links,
+            hand=links[:behind],
+            arm=links[behind:],
+            below=slice(last, last - behind, -1),
+            above=slice(last - behind, None, -1),
             tip_axes=(x, y, z),
-            jaw_end=(length * z[0], length * z[1], length * z[2]),
+            point=point,
+            jaw_end=_mixed(1.0, point, length, z),
             wrist=wrist,
-            shaft_end=(wrist[0], wrist[1], wrist[2] - arm.shape.shaft_radius_m),
+            shaft_end=_mixed(1.0, wrist, -arm.shape.shaft_radius_m, along),
             T_task_base=((*rows[0],), (*rows[1],), (*rows[2],)),  # type: ignore[arg-type]
         )
 
@@ -78,32 +97,36 @@ class Chain:
         """Control point (jaw pivot), end of the closed jaw, wrist and end of the shaft.
 
         Args:
-            q: joint positions, the first six entries are read.
+            q: joint positions; what follows them is not read.
         """
-        hand, below, arm, above = self.links[:2], q[5:3:-1], self.links[2:], q[3::-1]
-        point, jaw_end = _carried(hand, below, ORIGIN, self.jaw_end)
+        arm, above = self.arm, q[self.above]
+        point, jaw_end = _carried(self.hand, q[self.below], self.point, self.jaw_end)
         point, jaw_end = _carried(arm, above, point, jaw_end)
         wrist, shaft_end = _carried(arm, above, self.wrist, self.shaft_end)
         in_task = self.in_task
         return in_task(point), in_task(jaw_end), in_task(wrist), in_task(shaft_end)
 
     def jacobian(self, q: Joints) -> list[list[float]]:
-        """Six columns vx vy vz wx wy wz of the control point, base axes, rad and m.
+        """A column vx vy vz wx wy wz of the control point for each joint, base axes, rad and m.
 
         Craig, section 5.8: a joint's axis is the z axis of its own frame.
 
         Args:
-            q: joint positions, the first six entries are read.
+            q: joint positions; what follows them is not read.
         """
-        o, x, y, z = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+        o, x, y, z = ORIGIN, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
         axes: list[tuple[bool, Point, Point]] = []
-        for (slides, ca, sa, a, theta, d), position in zip(reversed(self.links), q, strict=False):
+        for (slides, ca, sa, a, theta, d), position in zip(
+            reversed(self.hand + self.arm), q, strict=False
+        ):
             angle, rise = (theta, d + position) if slides else (theta + position, d)
             y, z = _mixed(ca, y, sa, z), _mixed(-sa, y, ca, z)
             o = _mixed(1.0, o, 1.0, _mixed(a, x, rise, z))
             axes.append((slides, z, o))
             c, s = cos(angle), sin(angle)
             x, y = _mixed(c, x, s, y), _mixed(-s, x, c, y)
+        a, b, c = self.point
+        o = _mixed(1.0, o, 1.0, _mixed(a, x, 1.0, _mixed(b, y, c, z)))
         return [
             [*z, 0.0, 0.0, 0.0] if slides else [*_cross(z, _mixed(1.0, o, -1.0, at)), *z]
             for slides, z, at in axes
@@ -112,9 +135,12 @@ class Chain:
     def tip_pose(self, q: Joints) -> tuple[Row, Row, Row]:
         """First three rows of T_base_tip, for the tests that hold it against other models."""
         x_axis, y_axis, z_axis = self.tip_axes
-        origin, x = _carried(self.links, q[5::-1], ORIGIN, x_axis)
-        y, z = _carried(self.links, q[5::-1], y_axis, z_axis)
-        rows = [(x[i] - p, y[i] - p, z[i] - p, p) for i, p in enumerate(origin)]
+        links = self.hand + self.arm
+        back = q[len(links) - 1 :: -1]
+        origin, x = _carried(links, back, ORIGIN, x_axis)
+        y, z = _carried(links, back, y_axis, z_axis)
+        point, _ = _carried(links, back, self.point, ORIGIN)
+        rows = [(x[i] - p, y[i] - p, z[i] - p, point[i]) for i, p in enumerate(origin)]
         return rows[0], rows[1], rows[2]
 
     def in_task(self, point: Point) -> Point:

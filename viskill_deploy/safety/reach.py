@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from operator import mul
+
 from viskill_deploy.safety.envelope import ArmEnvelope
+from viskill_deploy.safety.stopping import SHARE
 from viskill_deploy.safety.track import ArmTrack
 
 
@@ -11,7 +14,9 @@ class Reach:
 
     There w = |v| + a^2 / 2J, and a reversal is included: |a| / J passes at no more than w, and the
     rest is the way from speed w, where the trapezoid bounds the triangle. Speeds and accelerations
-    are parts of their limits, and every coefficient is the largest of all joints.
+    are parts of their limits, and every coefficient is the largest of all joints. A `CommonStop`
+    has half of the limits; the bound holds for each of its two parts, whose own limits are those
+    of the joint that has least.
 
     Args:
         arm: its limits and lengths.
@@ -19,19 +24,31 @@ class Reach:
         has_jaw: whether `travel` includes the jaw's end.
     """
 
-    __slots__ = ("_brake", "_full", "_lag", "_offset", "_period", "_push", "_rise", "_shift")
+    __slots__ = (
+        "_brake",
+        "_full",
+        "_is_psm",
+        "_lag",
+        "_offset",
+        "_period",
+        "_push",
+        "_rise",
+        "_shift",
+    )
 
     def __init__(self, arm: ArmEnvelope, period: float, has_jaw: bool = False) -> None:
-        rows = list(zip(arm.max_speed[:6], arm.max_acceleration, arm.max_jerk, strict=False))
+        rows = list(zip(arm.max_speed[:-1], arm.max_acceleration, arm.max_jerk, strict=False))
+        self._is_psm = arm.has_remote_centre
+        share = 1.0 if self._is_psm else SHARE
         self._period = period
         self._shift = max(0.5 * period * a / v for v, a, _ in rows)
-        self._rise = max(0.5 * a * a / (j * v) for v, a, j in rows)
-        self._lag = max(a / j for _, a, j in rows)
-        self._brake = max(0.5 * v / a for v, a, _ in rows)
+        self._rise = max(0.5 * a * a / (j * v) for v, a, j in rows) / share
+        self._lag = max(a / j for _, a, j in rows) / share
+        self._brake = max(0.5 * v / a for v, a, _ in rows) / share
         jaw = arm.jaw_length if has_jaw else 0.0
         tail = arm.wrist_length + jaw
         self._offset = arm.wrist_offset + tail
-        levers = (1.0, 1.0, 1.0, tail, tail, jaw)
+        levers = arm.levers or (1.0, 1.0, 1.0, tail, tail, jaw)
         self._full = [v * lever for (v, _, _), lever in zip(rows, levers, strict=True)]
         self._push = [0.5 * a * lever for (_, a, _), lever in zip(rows, levers, strict=True)]
 
@@ -42,6 +59,8 @@ class Reach:
 
     def travel(self, track: ArmTrack) -> float:
         """Way that no point from the port to the jaw exceeds in a stop from what is asked, m."""
+        if not self._is_psm:
+            return self._travel_of_all(track)
         f0, f1, f2, f3, f4, f5, _ = track.speed
         s0, s1, s2, s3, s4, s5, _ = track.acceleration
         v0, v1, v2, v3, v4, v5 = self._full
@@ -53,3 +72,12 @@ class Reach:
         swing = time * (v0 * f0 + v1 * f1 + bend * (a0 * s0 + a1 * s1))
         turn = v3 * f3 + v4 * f4 + v5 * f5 + bend * (a3 * s3 + a4 * s4 + a5 * s5)
         return slide + (self._offset + track.asked_q[2] + slide) * swing + time * turn
+
+    def _travel_of_all(self, track: ArmTrack) -> float:
+        """The same where every joint moves all that is behind it."""
+        sharpest = max(track.acceleration[:-1])
+        bend = self._period + self._lag * sharpest
+        _, time = self.speed_and_time(track.fastest, sharpest)
+        speeds: float = sum(map(mul, self._full, track.speed))
+        pushes: float = sum(map(mul, self._push, track.acceleration))
+        return time * (speeds + bend * pushes)

@@ -6,9 +6,9 @@ from math import isfinite
 from typing import Any
 
 
-def is_vector(values: Any) -> bool:
-    """True for a tuple of six things: a list could still change after the gate has looked."""
-    return values.__class__ is tuple and len(values) == 6
+def is_vector(values: Any, count: int) -> bool:
+    """True for a tuple of `count` things: a list could still change after the gate has looked."""
+    return values.__class__ is tuple and len(values) == count
 
 
 def are_sound(values: tuple[Any, ...]) -> bool:

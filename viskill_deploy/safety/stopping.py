@@ -65,7 +65,7 @@ class JointStop:
 
 
 class ArmStop:
-    """One arm's way to rest: six joints and the jaw, each as fast as it can.
+    """One arm's way to rest: joints and jaw, each as fast as it can.
 
     Attributes:
         duration_s: time until the last of them rests.
@@ -79,9 +79,9 @@ class ArmStop:
         """Plans the stop.
 
         Args:
-            motions: position, speed, acceleration of the six joints and the jaw.
-            max_acceleration: seven limits, rad/s^2 or m/s^2.
-            max_jerk: seven limits, rad/s^3 or m/s^3.
+            motions: position, speed, acceleration of the joints and the jaw.
+            max_acceleration: a limit each, rad/s^2 or m/s^2.
+            max_jerk: a limit each, rad/s^3 or m/s^3.
         """
         self._joints = tuple(
             JointStop(*motion, acceleration, jerk)
@@ -92,7 +92,73 @@ class ArmStop:
     def at(self, t: float) -> JointSetpoint:
         """The setpoint `t` seconds after the start of the stop."""
         positions, speeds, _ = zip(*[joint.at(t) for joint in self._joints], strict=True)
-        return JointSetpoint(positions[:6], speeds[:6], positions[6], speeds[6])
+        return JointSetpoint(positions[:-1], speeds[:-1], positions[-1], speeds[-1])
+
+
+class CommonStop:
+    """The way to rest of an arm that no mechanism keeps in its port: all joints under one clock.
+
+    Joints that each stop as fast as they can stop at different times, and the shaft leaves the port
+    meanwhile. Here the arm runs out along its present velocity, q + v s(t), and its present
+    acceleration dies away along itself, a u(t): both keep the shaft in the port up to the square
+    of a way of millirads. Each gets half of every joint's acceleration and jerk.
+
+    Attributes:
+        duration_s: time until rest.
+    """
+
+    __slots__ = ("_along", "_bend", "_jaw", "_motions", "duration_s")
+
+    def __init__(
+        self, motions: Iterable[Motion], max_acceleration: Joints, max_jerk: Joints
+    ) -> None:
+        """Plans the stop; arguments as those of `ArmStop`."""
+        *joints, jaw = motions
+        self._motions = tuple(joints)
+        self._jaw = JointStop(*jaw, max_acceleration[-1], max_jerk[-1])
+        limits = (max_acceleration, max_jerk)
+        self._along = _unit_stop((1.0, 0.0), [v for _, v, _ in joints], *limits)
+        self._bend = _unit_stop((0.0, 1.0), [a for _, _, a in joints], *limits)
+        self.duration_s = max(self._along.duration_s, self._bend.duration_s, self._jaw.duration_s)
+
+    @property
+    def end(self) -> Joints:
+        """Where the joints come to rest."""
+        s, u = self._along.end, self._bend.end
+        return tuple([p + v * s + a * u for p, v, a in self._motions])
+
+    def extent(self, joint: int) -> tuple[float, float]:
+        """Bounds of one joint's positions on the way."""
+        p, v, a = self._motions[joint]
+        ways = v * self._along.end, a * self._bend.end
+        return p + sum([min(way, 0.0) for way in ways]), p + sum([max(way, 0.0) for way in ways])
+
+    def at(self, t: float) -> JointSetpoint:
+        """The setpoint `t` seconds after the start of the stop."""
+        (s, s_rate, _), (u, u_rate, _) = self._along.at(t), self._bend.at(t)
+        jaw, jaw_v, _ = self._jaw.at(t)
+        positions = tuple([p + v * s + a * u for p, v, a in self._motions])
+        speeds = tuple([v * s_rate + a * u_rate for _, v, a in self._motions])
+        return JointSetpoint(positions, speeds, jaw, jaw_v)
+
+
+SHARE = 0.5
+"""Part of an arm's acceleration and jerk that each half of a `CommonStop` may use."""
+
+
+def _unit_stop(
+    start: tuple[float, float], parts: list[float], max_acceleration: Joints, max_jerk: Joints
+) -> JointStop:
+    """The stop of a factor that multiplies `parts`, joint by joint, within half of each limit."""
+    pairs = [
+        (SHARE * a / abs(part), SHARE * j / abs(part))
+        for part, a, j in zip(parts, max_acceleration, max_jerk, strict=False)
+        if part != 0.0
+    ]
+    if not pairs:
+        return JointStop(0.0, 0.0, 0.0, 1.0, 1.0)
+    accelerations, jerks = zip(*pairs, strict=True)
+    return JointStop(0.0, *start, min(accelerations), min(jerks))
 
 
 def braking(v: float, a: float, max_acceleration: float, max_jerk: float) -> list[Piece]:

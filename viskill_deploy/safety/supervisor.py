@@ -25,7 +25,7 @@ from viskill_deploy.safety.decision import Decision
 from viskill_deploy.safety.envelope import ROUNDING, CellEnvelope
 from viskill_deploy.safety.modes import Modes
 from viskill_deploy.safety.rule_base import Needs, Rule, find_rules, verdicts_of
-from viskill_deploy.safety.stopping import ArmStop
+from viskill_deploy.safety.stopping import ArmStop, CommonStop
 
 CLEAN_S = 0.2
 """How long nothing must have been wrong before an operator may clear a HOLD."""
@@ -72,7 +72,7 @@ class Supervisor:
         self._is_armed = False  # the tracks hold what the robot was sent
         self._saw_no_consent = False
         self._pending: list[Verdict] = []
-        self._stops: list[ArmStop] = []
+        self._stops: list[ArmStop | CommonStop] = []
         self._stop_cycles, self._dirty_at = 0, -inf
         self._cause: tuple[Verdict, ...] = ()
         self._stopped_by: set[str] = set()
@@ -114,7 +114,7 @@ class Supervisor:
         if not (self._saw_no_consent and state.inputs.consent is True):
             return (Verdict("S22", Action.HOLD),)
         stay = tuple(
-            JointSetpoint(arm.setpoint_jp, (0.0,) * 6, arm.jaw_setpoint_jp, 0.0)
+            JointSetpoint(arm.setpoint_jp, (0.0,) * len(arm.setpoint_jp), arm.jaw_setpoint_jp, 0.0)
             for arm in state.arms
         )
         if self._pending:

@@ -9,7 +9,7 @@ from operator import mul, sub
 from viskill_deploy.core.types import Joints, JointSetpoint
 from viskill_deploy.safety.envelope import ROUNDING, ArmEnvelope
 from viskill_deploy.safety.geometry import Point
-from viskill_deploy.safety.stopping import ArmStop, Motion
+from viskill_deploy.safety.stopping import ArmStop, CommonStop, JointStop, Motion
 
 OLDEST_S = 0.1
 """Feedback of this age is a fault by itself (S18): what was sent before that needs no keeping."""
@@ -19,8 +19,6 @@ LEAP = 100.0
 """Parts of full speed beyond which no rule asks where a setpoint would lead: S05 and S08 hold it,
 and what follows from such numbers overflows."""
 NOWHERE: Point = (0.0, 0.0, 0.0)
-NO_JOINTS: Joints = (0.0,) * 7
-NO_SETPOINT = JointSetpoint(NO_JOINTS[:6], NO_JOINTS[:6], 0.0, 0.0)
 
 
 class ArmTrack:
@@ -34,15 +32,15 @@ class ArmTrack:
         envelope: what it may do.
         sent: the last setpoint that went out; `recent` holds those that its driver may still
             report, newest last, and `latency` is how far behind it may be with a new sample, s.
-        q: positions of what was sent, (7,) with the jaw last.
+        q: positions of what was sent, (n,) with the jaw last.
         step, bend: first and second difference of `q` over the last periods: speed times period,
             acceleration times period squared.
         point, jaw_end: control point and jaw end at `q`, task frame, m; `points` are the ends of
             all its parts.
         asked, asked_q, …: the same for what is asked in this cycle.
-        speed, acceleration, jerk: what is asked as a part of the limit, (7,), never negative.
-        fastest, sharpest, jerkiest: largest speed of the six joints, largest acceleration and
-            largest jerk of all seven.
+        speed, acceleration, jerk: what is asked as a part of the limit, (n,), never negative.
+        fastest, sharpest, jerkiest: largest speed of the joints, largest acceleration and largest
+            jerk of all axes.
         point_speed: speed of the control point, m/s.
     """
 
@@ -93,13 +91,14 @@ class ArmTrack:
         self.recent: deque[JointSetpoint] = deque(
             maxlen=1 + ceil((self.latency + OLDEST_S) / period)
         )
-        self.begin(NO_SETPOINT)
+        rest: Joints = (0.0,) * (len(envelope.max_speed) - 1)
+        self.begin(JointSetpoint(rest, rest, 0.0, 0.0))
 
     def begin(self, setpoint: JointSetpoint) -> None:
         """Starts a record at rest, at what the driver holds."""
         self.q = self.asked_q = (*setpoint.jp, setpoint.jaw)
-        self.step: list[float] = list(NO_JOINTS)
-        self.bend: list[float] = list(NO_JOINTS)
+        self.step: list[float] = [0.0] * len(self.q)
+        self.bend: list[float] = [0.0] * len(self.q)
         self.points = self.envelope.chain.points(self.q)
         self.point, self.jaw_end, _, _ = self.points
         self.sent = setpoint
@@ -116,7 +115,7 @@ class ArmTrack:
         self.speed = list(map(mul, map(abs, step), self._per_full_step))
         self.acceleration = list(map(mul, map(abs, bend), self._per_full_bend))
         self.jerk = list(map(mul, map(abs, map(sub, bend, self.bend)), self._per_full_jerk))
-        self.fastest = max(self.speed[:6])
+        self.fastest = max(self.speed[:-1])
         self.sharpest = max(self.acceleration)
         self.jerkiest = max(self.jerk)
         self.asked_points = self.envelope.chain.points(q)
@@ -139,8 +138,32 @@ class ArmTrack:
         """A difference is the speed half a period ago; constant acceleration carries it to now."""
         return q, (step + 0.5 * bend) * self._rate, bend * self._rate * self._rate
 
-    def stop(self) -> ArmStop:
+    def stop(self) -> ArmStop | CommonStop:
         """The gate's own stop from the last setpoint sent."""
         envelope = self.envelope
         motions = map(self._motion, self.q, self.step, self.bend)
-        return ArmStop(motions, envelope.max_acceleration, envelope.max_jerk)
+        kind = ArmStop if envelope.has_remote_centre else CommonStop
+        return kind(motions, envelope.max_acceleration, envelope.max_jerk)
+
+    def asked_extent(self, joint: int) -> tuple[float, float]:
+        """Bounds of one joint's positions in the gate's stop from what is asked."""
+        if self.envelope.has_remote_centre:
+            return self._asked_stop(joint).extent()
+        return self._asked_common_stop().extent(joint)
+
+    def asked_end(self) -> Joints:
+        """Where the gate's stop from what is asked brings the joints."""
+        if self.envelope.has_remote_centre:
+            return tuple([self._asked_stop(joint).end for joint in range(len(self.q) - 1)])
+        return self._asked_common_stop().end
+
+    def _asked_stop(self, joint: int) -> JointStop:
+        arm = self.envelope
+        return JointStop(
+            *self.asked_motion(joint), arm.max_acceleration[joint], arm.max_jerk[joint]
+        )
+
+    def _asked_common_stop(self) -> CommonStop:
+        arm = self.envelope
+        motions = map(self._motion, self.asked_q, self.asked_step, self.asked_bend)
+        return CommonStop(motions, arm.max_acceleration, arm.max_jerk)

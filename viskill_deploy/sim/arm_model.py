@@ -1,4 +1,4 @@
-"""One patient-side manipulator at joint level, as MuJoCo bodies built from its DH rows.
+"""One arm with its instrument at joint level, as MuJoCo bodies built from its DH rows.
 
 Links have next to no mass: the arm's inertia is each joint's `armature` of its `[joint.dynamics]`
 and its drive is a position + velocity servo with the joint's effort limit, so that an arm answers
@@ -13,13 +13,15 @@ import mujoco
 import numpy as np
 
 from viskill_deploy.core.description import CellArm
-from viskill_deploy.core.robot_files import Jaw, PrismaticJoint, RevoluteJoint
+from viskill_deploy.core.robot_files import Instrument, Jaw, PrismaticJoint, RevoluteJoint
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.sim.materials import CONTACT_SOLIMP, CONTACT_SOLREF, FRICTION, Touch
 
 LINK_MASS_KG = 1e-6
 """Its weight bends no servo by a nanometre, so gravity need not be compensated link by link, which
 took a twentieth of a physics step."""
+STRAIGHT_END_M = 0.015
+"""The end of a straight instrument that things feel."""
 FINGER_THICKNESS_M = 0.0014
 FINGER_WIDTH_M = 0.0018
 
@@ -52,7 +54,7 @@ def rotation_z(angle: float) -> FloatArray:
 
 
 def add_arm(spec: mujoco.MjSpec, cell_arm: CellArm, friction: bool) -> None:
-    """Adds an arm in its place: six joints, two coupled fingers, servos, the site `<arm>/tip`.
+    """Adds an arm in its place: its joints, two coupled fingers, servos, the site `<arm>/tip`.
 
     Args:
         spec: the model that is being built.
@@ -70,6 +72,7 @@ def add_arm(spec: mujoco.MjSpec, cell_arm: CellArm, friction: bool) -> None:
     )
     body.add_geom(
         name=f"{name}/rcm",
+        pos=cell_arm.entry.port_in_base_m,
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=[0.006, 0, 0],
         material="port",
@@ -132,6 +135,8 @@ def _servo(
 def _add_looks(body: mujoco.MjsBody, name: str, index: int, cell_arm: CellArm) -> None:
     """What is seen of the shaft and the wrist; the wrist also pushes blocks."""
     shape = cell_arm.arm.shape
+    if not cell_arm.arm.has_remote_centre:
+        return
     if index == 3:
         length = cell_arm.arm.joints[3].d_m
         body.add_geom(
@@ -157,11 +162,14 @@ def _add_looks(body: mujoco.MjsBody, name: str, index: int, cell_arm: CellArm) -
 def _add_jaw(spec: mujoco.MjSpec, wrist: mujoco.MjsBody, name: str, cell_arm: CellArm) -> None:
     tip = wrist.add_body(
         name=f"{name}/tip",
+        pos=cell_arm.arm.tip_position,
         quat=quaternion(cell_arm.arm.tip_rotation),
         mass=LINK_MASS_KG,
         inertia=[1e-8, 1e-8, 1e-8],
         explicitinertial=True,
     )
+    if cell_arm.arm.instrument is not None:
+        _add_straight(tip, name, cell_arm.arm.instrument)
     tip.add_site(name=f"{name}/tip", size=[0.0005, 0.0005, 0.0005], group=4)
     jaw = cell_arm.arm.jaw
     for side, sign in (("left", 1.0), ("right", -1.0)):
@@ -187,6 +195,24 @@ def _add_jaw(spec: mujoco.MjSpec, wrist: mujoco.MjsBody, name: str, cell_arm: Ce
         JAW_DAMPING_NM_S_PER_RAD,
         min(GRIP_TORQUE_NM, jaw.effort_nm),
     )
+
+
+def _add_straight(tip: mujoco.MjsBody, name: str, instrument: Instrument) -> None:
+    """The tube of a straight instrument; its last stretch pushes things as a wrist does."""
+    shape, length = instrument.shape, instrument.shaft_length_m
+    for part, ends, radius, touch in (
+        ("shaft", (-length, -STRAIGHT_END_M), shape.shaft_radius_m, Touch.NOTHING),
+        ("wrist", (-STRAIGHT_END_M, -shape.wrist_radius_m), shape.wrist_radius_m, Touch.WRIST),
+    ):
+        tip.add_geom(
+            name=f"{name}/{part}",
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[0, 0, ends[0], 0, 0, ends[1]],
+            size=[radius, 0, 0],
+            material="shaft",
+            solref=CONTACT_SOLREF,
+            **touch.bits,
+        )
 
 
 def _add_finger(tip: mujoco.MjsBody, name: str, sign: float, jaw: Jaw) -> None:

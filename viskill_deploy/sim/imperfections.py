@@ -19,7 +19,7 @@ from viskill_deploy.core.errors import ViskillError
 from viskill_deploy.core.types import PSM_JOINTS, FloatArray
 
 AXES = 7
-INSERTION = PSM_JOINTS.index("insertion")
+PSM_SLIDES = tuple(name == "insertion" for name in PSM_JOINTS)
 
 BRAKE = 1e6
 """Damping of a stuck joint, N m s/rad or N s/m: at full effort it moves by 4 um in a second."""
@@ -93,15 +93,23 @@ class Imperfections:
         options: how large each imperfection is.
         arms: number of arms.
         seed: of noise, offsets and losses.
+        slides: which joints of an arm are prismatic.
     """
 
-    def __init__(self, options: WorldOptions, arms: int, seed: int) -> None:
-        self.options, self._arms = options, arms
+    def __init__(
+        self,
+        options: WorldOptions,
+        arms: int,
+        seed: int,
+        slides: tuple[bool, ...] = PSM_SLIDES,
+    ) -> None:
+        self.options, self._arms, self._axes = options, arms, len(slides) + 1
+        self._slides = np.array([*slides, False])
         self._pending: deque[FloatArray] = deque()
-        self._felt: FloatArray = np.zeros(arms * AXES * 2)
+        self._felt: FloatArray = np.zeros(arms * self._axes * 2)
         # Offsets and losses have dice of their own: turning one on leaves the noise as it was.
-        offset = np.full((arms, AXES), options.joint_offset_rad)
-        offset[:, INSERTION], offset[:, AXES - 1] = options.joint_offset_m, 0.0
+        offset = np.full((arms, self._axes), options.joint_offset_rad)
+        offset[:, self._slides], offset[:, -1] = options.joint_offset_m, 0.0
         dice = np.random.default_rng([seed, 1])
         self._offset: FloatArray = offset * dice.normal(size=offset.shape)
         cables = [errors.cables for errors in options.truth or (ArmErrors(),) * arms]
@@ -109,7 +117,7 @@ class Imperfections:
         self._stretch: FloatArray = np.array([arm.coupling for arm in cables])
         self._is_displaced = any(x.any() for x in (self._offset, self._play, self._stretch))
         self._wrist: FloatArray = np.zeros((arms, 3))
-        self._shift: FloatArray = np.zeros((arms, AXES))
+        self._shift: FloatArray = np.zeros((arms, self._axes))
         self._part = 1.0 - np.exp(-options.period_s / options.lag_s) if options.lag_s else 1.0
         self.seed(seed)
 
@@ -146,9 +154,9 @@ class Imperfections:
         if self._is_displaced:
             axes = axes - self._shift[arm]
         if options.joint_noise_rad or options.joint_noise_m:
-            scale = np.full(AXES, options.joint_noise_rad)
-            scale[INSERTION] = options.joint_noise_m
-            axes = axes + self._noise.normal(0.0, 1.0, AXES) * scale
+            scale = np.full(self._axes, options.joint_noise_rad)
+            scale[self._slides] = options.joint_noise_m
+            axes = axes + self._noise.normal(0.0, 1.0, self._axes) * scale
         return axes
 
     def seen_shift(self) -> FloatArray:
@@ -181,8 +189,8 @@ class Imperfections:
 
 
 def _positions(controls: FloatArray, arms: int) -> FloatArray:
-    """The positions in a control vector, (arms, 7)."""
-    return controls[0::2].reshape(arms, AXES)
+    """The positions in a control vector, (arms, axes)."""
+    return controls[0::2].reshape(arms, -1)
 
 
 def _stretched(stretch: FloatArray, wrist: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from viskill_deploy.core.arm_errors import with_errors
 from viskill_deploy.core.description import CellArm, CellDescription
 from viskill_deploy.core.types import ActiveObject, FloatArray, JointSetpoint, ObjectPose, Scene
-from viskill_deploy.motion.resolve import resolve
+from viskill_deploy.motion.resolve import resolve, start_seeds
 from viskill_deploy.motion.waypoints import start_waypoint
 from viskill_deploy.sim.imperfections import (
     AXES,
@@ -39,7 +39,7 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 @dataclass(frozen=True, slots=True)
 class ArmReading:
-    """Measured joints of one arm: (6,) and jaw opening with their speeds; rad, m, s."""
+    """Measured joints of one arm, (n,), and jaw opening with their speeds; rad, m, s."""
 
     jp: tuple[float, ...]
     jv: tuple[float, ...]
@@ -98,16 +98,18 @@ class World:
         )
         displace_bases(self.model, cell, self.options, seed)
         self.data = mujoco.MjData(self.model)
-        self.imperfections = Imperfections(self.options, len(cell.arms), seed)
+        self.imperfections = Imperfections(self.options, len(cell.arms), seed, _slides(cell))
         self.drives = Drives(self.model)
         if self.options.stuck:
             self.drives.stick(self.options.stuck)
         self._arms = [_ArmIndex(self.model, arm) for arm in cell.arms]
         self._things = Things(self.model)
         self._active, self._goal = "", np.zeros(3)
-        home = resolve(cell, [start_waypoint(cell)], [(0.0,) * AXES] * len(self._arms))
+        home = resolve(cell, [start_waypoint(cell)], start_seeds(cell))
         self.home: FloatArray = home[1]
-        """Axis positions (arms, 7) of the cell's start pose."""
+        """Axis positions (arms, axes) of the cell's start pose."""
+        if not self.things:  # no scene will ever say that a run begins
+            self.place(Scene(0.0, (), "", np.zeros(3)))
 
     @property
     def things(self) -> tuple[str, ...]:
@@ -143,9 +145,9 @@ class World:
 
         Args:
             scene: poses of things; those that it does not name are put aside.
-            axes: axis positions (arms, 7), jaw last; the cell's start pose by default.
-            setpoints: what the arms are told to hold, (arms, 7); where they are by default. A jaw
-                that squeezes something is told to close farther than it can.
+            axes: axis positions (arms, axes), jaw last; the cell's start pose by default.
+            setpoints: what the arms are told to hold, (arms, axes); where they are by default. A
+                jaw that squeezes something is told to close farther than it can.
 
         Raises:
             ViskillError: the scene names an object that this world does not have.
@@ -168,8 +170,8 @@ class World:
         self._things.place(self.data, scene)
         true = self.imperfections.true_axes(start)
         for index, row in zip(self._arms, true, strict=True):
-            self.data.qpos[index.qpos[:6]] = row[:6]
-            self.data.qpos[index.qpos[6:]] = max(row[6], 0.0) / 2
+            self.data.qpos[index.qpos[:-2]] = row[:-1]
+            self.data.qpos[index.qpos[-2:]] = max(row[-1], 0.0) / 2
         self.attend(scene.active, scene.goal)
         still = controls(told, np.zeros_like(told))
         self.data.ctrl[:] = self.imperfections.start(still)
@@ -202,8 +204,8 @@ class World:
         """Lets a whole segment pass.
 
         Args:
-            positions: axis positions after each period, (n, arms, 7).
-            velocities: axis velocities after each period, (n, arms, 7).
+            positions: axis positions after each period, (n, arms, axes).
+            velocities: axis velocities after each period, (n, arms, axes).
         """
         for row in controls(positions, velocities):
             self._period(row)
@@ -216,9 +218,9 @@ class World:
         """What the arm's sensors say, with noise where the options ask for it."""
         index = self._arms[arm]
         q, v = self.data.qpos[index.qpos], self.data.qvel[index.qvel].tolist()
-        q[6] += q[7]
-        axes = self.imperfections.measured(arm, q[:AXES]).tolist()
-        return ArmReading(tuple(axes[:6]), tuple(v[:6]), axes[6], v[6] + v[7])
+        q[-2] += q[-1]
+        axes = self.imperfections.measured(arm, q[:-1]).tolist()
+        return ArmReading(tuple(axes[:-1]), tuple(v[:-2]), axes[-1], v[-2] + v[-1])
 
     def tips(self) -> FloatArray:
         """Where the tips really are now, task frame, (arms, 3) m."""
@@ -261,6 +263,11 @@ class World:
         """Goes back to a state of `save` of the same world and episode."""
         mujoco.mj_setState(self.model, self.data, state, _STATE)
         mujoco.mj_forward(self.model, self.data)
+
+
+def _slides(cell: CellDescription) -> tuple[bool, ...]:
+    """Which joints of an arm are prismatic, as in the first one."""
+    return tuple(joint.type == "prismatic" for joint in cell.arms[0].arm.joints)
 
 
 def controls(positions: FloatArray, velocities: FloatArray) -> FloatArray:

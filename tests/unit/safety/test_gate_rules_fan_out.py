@@ -925,7 +925,7 @@ def test_s18_by_frozen_numbers_while_the_setpoint_moves(arm, joint, part, after_
     rig, rule = Rig(), made("S18")
     cycle = cycle_of(rig)
     assert words(rule, cycle) == []
-    moved = s18_feedback_age.MOVED[joint] * part
+    moved = s18_feedback_age.MOVED[joint == 2] * part
     track = cycle.tracks[arm]
     track.q = replaced(track.q, joint, track.q[joint] + moved)
     rig.now += after_s
@@ -1033,7 +1033,8 @@ def test_s23_anything_but_a_clear_no_is_an_emergency_stop(estop):
 @pytest.mark.parametrize(("part", "foreign"), [(0.5, 0), (0.999, 0), (1.001, 1), (100.0, 1)])
 def test_s24_faults_on_a_setpoint_that_is_not_ours(arm, joint, side, part, foreign):
     rig = Rig()
-    tolerance = (*s24_driver.TOLERANCE, s24_driver.JAW_TOLERANCE)[joint]
+    of_joint = s24_driver.TOLERANCE[joint == 2]
+    tolerance = of_joint if joint < 6 else s24_driver.JAW_TOLERANCE
     other = rig.moved(arm, joint, side * part * tolerance)[arm]
     rig.broken[arm] = {"setpoint_jp": other.jp, "jaw_setpoint_jp": other.jaw}
     verdicts = words(made("S24"), cycle_of(rig))

@@ -21,6 +21,7 @@ class Rule:
 
     def __init__(self, cell: CellEnvelope) -> None:
         self._arms = len(cell.arms)
+        self._joints = tuple(len(arm.joint_names) for arm in cell.arms)
 
     def margin(self, cycle: Cycle) -> float:
         """1.0 for a sound request, also for none at all (that is S16's)."""
@@ -30,8 +31,8 @@ class Rule:
             return 1.0
         if setpoints.__class__ is not tuple or len(setpoints) != self._arms:
             return -1.0
-        for setpoint in setpoints:
-            if not _is_sound(setpoint):
+        for setpoint, joints in zip(setpoints, self._joints, strict=True):
+            if not _is_sound(setpoint, joints):
                 return -1.0
         return 1.0 if self._has_sound_rest(request) else -1.0
 
@@ -39,10 +40,10 @@ class Rule:
         """One verdict an unsound arm; one for the cell when the shape is wrong."""
         setpoints = cycle.request.setpoints
         if setpoints.__class__ is tuple and setpoints and len(setpoints) == self._arms:
-            for arm, setpoint in enumerate(setpoints):
-                if not _is_sound(setpoint):
-                    yield Verdict(self.id, Action.FAULT, arm, _joint(setpoint))
-            if all(map(_is_sound, setpoints)):
+            for arm, (setpoint, joints) in enumerate(zip(setpoints, self._joints, strict=True)):
+                if not _is_sound(setpoint, joints):
+                    yield Verdict(self.id, Action.FAULT, arm, _joint(setpoint, joints))
+            if all(map(_is_sound, setpoints, self._joints)):
                 yield Verdict(self.id, Action.FAULT)
         else:
             yield Verdict(self.id, Action.FAULT)
@@ -63,20 +64,20 @@ class Rule:
         return all(tip.__class__ is tuple and len(tip) == 3 and are_sound(tip) for tip in tips)
 
 
-def _is_sound(setpoint: Any) -> bool:
+def _is_sound(setpoint: Any, joints: int) -> bool:
     return (
         setpoint.__class__ is JointSetpoint
-        and is_vector(setpoint.jp)
-        and is_vector(setpoint.jv)
+        and is_vector(setpoint.jp, joints)
+        and is_vector(setpoint.jv, joints)
         and are_sound((*setpoint.jp, *setpoint.jv, setpoint.jaw, setpoint.jaw_v))
     )
 
 
-def _joint(setpoint: Any) -> int:
-    """Index of the first bad joint, 6 for the jaw, -1 for the whole setpoint."""
+def _joint(setpoint: Any, joints: int) -> int:
+    """Index of the first bad joint, then the jaw's, -1 for the whole setpoint."""
     if setpoint.__class__ is not JointSetpoint:
         return -1
-    if not (is_vector(setpoint.jp) and is_vector(setpoint.jv)):
+    if not (is_vector(setpoint.jp, joints) and is_vector(setpoint.jv, joints)):
         return -1
-    joints = (*setpoint.jp, setpoint.jaw), (*setpoint.jv, setpoint.jaw_v)
-    return min(*map(first_unsound, joints), 6)
+    axes = (*setpoint.jp, setpoint.jaw), (*setpoint.jv, setpoint.jaw_v)
+    return min(*map(first_unsound, axes), joints)

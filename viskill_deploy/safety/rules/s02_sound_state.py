@@ -27,7 +27,7 @@ class Rule:
         if arms.__class__ is not tuple or len(arms) != len(self._arms):
             return -1.0
         for arm, envelope in zip(arms, self._arms, strict=True):
-            if not (_is_expected(arm, envelope) and _is_sound(arm)):
+            if not (_is_expected(arm, envelope) and _is_sound(arm, len(envelope.joint_names))):
                 return -1.0
         return 1.0
 
@@ -40,8 +40,8 @@ class Rule:
         for index, (arm, envelope) in enumerate(zip(arms, self._arms, strict=True)):
             if not _is_expected(arm, envelope):
                 yield Verdict(self.id, Action.FAULT, index)
-            elif not _is_sound(arm):
-                yield Verdict(self.id, Action.FAULT, index, _joint(arm))
+            elif not _is_sound(arm, len(envelope.joint_names)):
+                yield Verdict(self.id, Action.FAULT, index, _joint(arm, len(envelope.joint_names)))
 
 
 def _is_expected(arm: ArmState, envelope: ArmEnvelope) -> bool:
@@ -53,8 +53,8 @@ def _is_expected(arm: ArmState, envelope: ArmEnvelope) -> bool:
     )
 
 
-def _is_sound(arm: ArmState) -> bool:
-    return _has_shape(arm) and are_sound(
+def _is_sound(arm: ArmState, joints: int) -> bool:
+    return _has_shape(arm, joints) and are_sound(
         (
             *arm.measured_jp,
             *arm.measured_jv,
@@ -67,12 +67,16 @@ def _is_sound(arm: ArmState) -> bool:
     )
 
 
-def _has_shape(arm: ArmState) -> bool:
-    return is_vector(arm.measured_jp) and is_vector(arm.measured_jv) and is_vector(arm.setpoint_jp)
+def _has_shape(arm: ArmState, joints: int) -> bool:
+    return (
+        is_vector(arm.measured_jp, joints)
+        and is_vector(arm.measured_jv, joints)
+        and is_vector(arm.setpoint_jp, joints)
+    )
 
 
-def _joint(arm: ArmState) -> int:
-    """Index of the first bad joint, 6 for the jaw or the stamp, -1 for a wrong shape."""
-    if not _has_shape(arm):
+def _joint(arm: ArmState, joints: int) -> int:
+    """Index of the first bad joint, the jaw's for jaw or stamp, -1 for a wrong shape."""
+    if not _has_shape(arm, joints):
         return -1
     return min(map(first_unsound, (arm.measured_jp, arm.measured_jv, arm.setpoint_jp)))

@@ -11,7 +11,6 @@ from viskill_deploy.safety.envelope import CellEnvelope
 from viskill_deploy.safety.ranges import Ranges
 from viskill_deploy.safety.reach import Reach
 from viskill_deploy.safety.rule_base import Needs
-from viskill_deploy.safety.stopping import JointStop
 from viskill_deploy.safety.track import ArmTrack
 
 
@@ -55,14 +54,16 @@ class Rule:
             parts.append(part)
             w, time = reach.speed_and_time(track.fastest, track.sharpest)
             is_near = part + w * ramp * time > 1.0
-            if is_near and any(self._is_leaving(track, joint) for joint in range(6)):
+            if is_near and any(
+                self._is_leaving(track, joint) for joint in range(len(track.envelope.margin))
+            ):
                 return -1.0
         return max(1.0 - max(parts), 0.0)
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """One verdict a joint that leaves its limits."""
         for track, inner in zip(cycle.tracks, self._inner, strict=True):
-            for joint in range(6):
+            for joint in range(len(track.envelope.margin)):
                 if self._is_leaving(track, joint):
                     q = track.asked_q[joint]
                     limit = inner.nearest(joint, q)
@@ -71,9 +72,9 @@ class Rule:
     def _is_leaving(self, track: ArmTrack, joint: int) -> bool:
         """Outside and not coming back, or moving such that a stop would end outside."""
         arm, inner = self._arms[track.index], self._inner[track.index]
-        q, v, a = track.asked_motion(joint)
+        q = track.asked_q[joint]
         step = track.asked_step[joint]
         if (inner.is_below(joint, q) and step < 0.0) or (inner.is_above(joint, q) and step > 0.0):
             return True
-        first, last = JointStop(q, v, a, arm.max_acceleration[joint], arm.max_jerk[joint]).extent()
+        first, last = track.asked_extent(joint)
         return first < min(arm.lower[joint], q) or last > max(arm.upper[joint], q)

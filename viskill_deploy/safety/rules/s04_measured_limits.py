@@ -21,8 +21,8 @@ class Rule:
     def __init__(self, cell: CellEnvelope) -> None:
         self._arms = tuple(
             Ranges(
-                [low - arm.measured_slack for low in arm.lower[:6]],
-                [high + arm.measured_slack for high in arm.upper[:6]],
+                [low - arm.measured_slack for low in arm.lower[:-1]],
+                [high + arm.measured_slack for high in arm.upper[:-1]],
             )
             for arm in cell.arms
         )

@@ -31,7 +31,7 @@ class Rule:
 
     def __init__(self, cell: CellEnvelope) -> None:
         self._period = cell.period
-        self._limits = tuple(arm.max_speed[:6] for arm in cell.arms)
+        self._limits = tuple(arm.max_speed[:-1] for arm in cell.arms)
         self._inverse = tuple(
             tuple((1.0 - ROUNDING) / x for x in limits) for limits in self._limits
         )

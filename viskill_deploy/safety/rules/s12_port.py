@@ -18,6 +18,8 @@ class Rule:
 
     A mechanical remote centre keeps the nominal shaft in its own port whatever the joints do. What
     this rule finds is a port that was registered elsewhere, or calibrated rows that no longer meet.
+    On an arm without one it is the constraint itself: nothing but the line keeps the shaft there,
+    and the gate's own stop is one that stays there too (`stopping.CommonStop`).
     """
 
     id: ClassVar[str] = "S12"

@@ -13,7 +13,6 @@ from viskill_deploy.safety.envelope import ROUNDING, CellEnvelope
 from viskill_deploy.safety.geometry import Points
 from viskill_deploy.safety.reach import Reach
 from viskill_deploy.safety.rule_base import Needs
-from viskill_deploy.safety.stopping import JointStop
 from viskill_deploy.safety.track import LEAP, ArmTrack
 
 FAR_M = 0.05
@@ -114,12 +113,7 @@ def _ways(tracks: tuple[ArmTrack, ...]) -> list[list[Points]]:
     halves, ends = [], []
     for track in tracks:
         arm = track.envelope
-        end = tuple(
-            JointStop(
-                *track.asked_motion(joint), arm.max_acceleration[joint], arm.max_jerk[joint]
-            ).end
-            for joint in range(6)
-        )
+        end = track.asked_end()
         half = tuple(0.5 * (p + q) for p, q in zip(end, track.asked_q, strict=False))
         halves.append(arm.chain.points(half))
         ends.append(arm.chain.points(end))

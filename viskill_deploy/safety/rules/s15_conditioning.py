@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import dist, inf, isfinite
+from math import dist, inf, isfinite, sqrt
 from operator import mul, sub
 from typing import ClassVar
 
@@ -35,7 +35,8 @@ class Rule:
     needs: ClassVar[Needs] = Needs.REQUEST
 
     def __init__(self, cell: CellEnvelope) -> None:
-        self._at: list[Joints] = [(inf,) * 6 for _ in cell.arms]
+        self._changes = [CHANGE if arm.has_remote_centre else changes(arm) for arm in cell.arms]
+        self._at: list[Joints] = [(inf,) * len(change) for change in self._changes]
         self._seen = [0.0] * len(cell.arms)
 
     def margin(self, cycle: Cycle) -> float:
@@ -69,7 +70,7 @@ class Rule:
     def _at_least(self, track: ArmTrack) -> float:
         """A bound under the smallest singular value; itself where it is near or below `slow`."""
         index, q = track.index, track.asked_q
-        change: float = sum(map(mul, map(abs, map(sub, q, self._at[index])), CHANGE))
+        change: float = sum(map(mul, map(abs, map(sub, q, self._at[index])), self._changes[index]))
         if not 2.0 * change <= self._seen[index] - track.envelope.slow_value:
             self._at[index], change = q, 0.0
             self._seen[index] = smallest_singular_value(track.envelope, q)
@@ -78,6 +79,21 @@ class Rule:
     def _is_approaching(self, track: ArmTrack) -> bool:
         asked = smallest_singular_value(track.envelope, track.asked_q)
         return asked < smallest_singular_value(track.envelope, track.q) - STILL_M
+
+
+def changes(arm: ArmEnvelope) -> Joints:
+    """The most that the smallest singular value changes with each joint of any serial arm.
+
+    It changes by no more than the norm of the Jacobian's derivative. A joint turns the columns of
+    all joints behind it, each of length sqrt(lever^2 + 1) at most, and moves the tip for those
+    before it and for itself by its own lever. The first joint turns the Jacobian as a whole.
+    """
+    columns = [lever * lever + 1.0 for lever in arm.levers]
+    bounds = [
+        sqrt((joint + 1) * lever * lever + sum(columns[joint + 1 :]))
+        for joint, lever in enumerate(arm.levers)
+    ]
+    return (0.0, *bounds[1:])
 
 
 def smallest_singular_value(arm: ArmEnvelope, q: Joints) -> float:

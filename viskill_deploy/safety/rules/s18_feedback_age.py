@@ -13,7 +13,7 @@ from viskill_deploy.safety.rule_base import Needs
 HOLD_S, HOLD_PERIODS = 0.05, 5
 """2.5 mm at the run's speed; a few lost messages."""
 FAULT_S, FAULT_PERIODS = 0.1, 10
-MOVED = (0.005, 0.005, 0.0005, 0.005, 0.005, 0.005)
+MOVED = (0.005, 0.0005)
 """rad, m. A setpoint that has moved this far shows in any encoder."""
 
 
@@ -41,6 +41,7 @@ class Rule:
         self._fault = tuple(
             max(FAULT_S, FAULT_PERIODS * arm.feedback_period) + ROUNDING for arm in cell.arms
         )
+        self._far = tuple(tuple(MOVED[slides] for slides in arm.slides) for arm in cell.arms)
         self._freezes = tuple(_Freeze() for _ in cell.arms)
 
     def margin(self, cycle: Cycle) -> float:
@@ -68,12 +69,14 @@ class Rule:
         now, freeze = cycle.now, self._freezes[index]
         age = abs(now - cycle.state.arms[index].stamp_s)
         frozen = now - freeze.since
-        if frozen > age and frozen > self._hold[index] and _moved(cycle.tracks[index].q, freeze):
+        if (
+            frozen > age
+            and frozen > self._hold[index]
+            and self._moved(index, cycle.tracks[index].q)
+        ):
             return frozen
         return age
 
-
-def _moved(q: Joints, freeze: _Freeze) -> bool:
-    return any(
-        abs(new - old) > far for new, old, far in zip(q[:6], freeze.sent[:6], MOVED, strict=True)
-    )
+    def _moved(self, index: int, q: Joints) -> bool:
+        pairs = zip(q, self._freezes[index].sent, self._far[index], strict=False)
+        return any(abs(new - old) > far for new, old, far in pairs)

@@ -8,13 +8,13 @@ from math import ceil, inf
 from operator import sub, truediv
 from typing import ClassVar
 
-from viskill_deploy.core.types import Action, ArmState, JointSetpoint, Verdict
+from viskill_deploy.core.types import Action, ArmState, Joints, JointSetpoint, Verdict
 from viskill_deploy.safety.cycle import Cycle
 from viskill_deploy.safety.envelope import CellEnvelope
 from viskill_deploy.safety.rule_base import Needs
 from viskill_deploy.safety.track import ArmTrack
 
-TOLERANCE = (0.005, 0.005, 0.0005, 0.005, 0.005, 0.005)
+TOLERANCE = (0.005, 0.0005)
 """rad, m. A driver that goes through actuators and back loses far less; a person's hand on another
 console moves more within a few cycles."""
 JAW_TOLERANCE = 0.02
@@ -34,6 +34,7 @@ class Rule:
 
     def __init__(self, cell: CellEnvelope) -> None:
         self._period = cell.period
+        self._far = tuple(tuple(TOLERANCE[slides] for slides in arm.slides) for arm in cell.arms)
 
     def margin(self, cycle: Cycle) -> float:
         """One minus the distance to the nearest setpoint sent, as a part of the tolerance."""
@@ -60,13 +61,13 @@ class Rule:
         late = track.latency + max(cycle.now - arm.stamp_s, 0.0)
         for sent in islice(reversed(track.recent), 1 + ceil(late / self._period)):
             if joints > CLOSE:
-                joints = min(joints, _distance(arm, sent))
+                joints = min(joints, _distance(arm, sent, self._far[track.index]))
             if jaw > CLOSE:
                 jaw = min(jaw, abs(arm.jaw_setpoint_jp - sent.jaw) / JAW_TOLERANCE)
         return max(joints, jaw)
 
 
-def _distance(arm: ArmState, sent: JointSetpoint) -> float:
+def _distance(arm: ArmState, sent: JointSetpoint, far: Joints) -> float:
     distances = map(abs, map(sub, arm.setpoint_jp, sent.jp))
-    parts: list[float] = list(map(truediv, distances, TOLERANCE))
+    parts: list[float] = list(map(truediv, distances, far))
     return max(parts)

@@ -12,7 +12,8 @@ from viskill_deploy.safety.envelope import ROUNDING, CellEnvelope
 from viskill_deploy.safety.rule_base import Needs
 from viskill_deploy.safety.track import ArmTrack
 
-JAW = 6
+JAW = -1
+"""The last axis."""
 OPENS_RAD = 0.02
 """A grip is kept through this much: it is a fifth of a millimetre at the end of the fingers."""
 
@@ -31,6 +32,7 @@ class Rule:
     def __init__(self, cell: CellEnvelope) -> None:
         self._range = tuple((arm.lower[JAW], arm.upper[JAW]) for arm in cell.arms)
         self._speed = tuple(arm.max_speed[JAW] for arm in cell.arms)
+        self._jaw = tuple(len(arm.max_speed) - 1 for arm in cell.arms)
         self._grip = [inf] * len(cell.arms)
 
     def margin(self, cycle: Cycle) -> float:
@@ -49,13 +51,13 @@ class Rule:
             jaw, limit = track.asked.jaw, self._speed[arm]
             part, opening = self._speed_part(track), self._opening(cycle, arm)
             if part > 1.0:
-                yield Verdict(self.id, Action.HOLD, arm, JAW, part * limit, limit)
+                yield Verdict(self.id, Action.HOLD, arm, self._jaw[arm], part * limit, limit)
             if opening > OPENS_RAD:
-                yield Verdict(self.id, Action.HOLD, arm, JAW, opening, OPENS_RAD)
+                yield Verdict(self.id, Action.HOLD, arm, self._jaw[arm], opening, OPENS_RAD)
             if self._is_leaving_range(cycle, arm):
                 lower, upper = self._range[arm]
                 bound = lower if jaw < lower else upper
-                yield Verdict(self.id, Action.HOLD, arm, JAW, jaw, bound)
+                yield Verdict(self.id, Action.HOLD, arm, self._jaw[arm], jaw, bound)
 
     def _speed_part(self, track: ArmTrack) -> float:
         """The faster of difference and velocity sent along, as a part of the limit."""
