@@ -1,0 +1,234 @@
+"""One arm as a guard offers it to other people's programs: what they ask of it, what it answers."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+from viskill_deploy.core.description import CellArm
+from viskill_deploy.core.types import ArmState, Joints, JointSetpoint
+from viskill_deploy.drivers.crtk.arm_cartesian import Cartesian, pose_of
+from viskill_deploy.drivers.crtk.arm_on_wire import StaleCheck
+from viskill_deploy.drivers.crtk.instruments import tool_type
+from viskill_deploy.drivers.crtk.messages import (
+    NANO,
+    Empty,
+    Header,
+    JointState,
+    OperatingState,
+    PoseStamped,
+    String,
+    StringStamped,
+    Time,
+)
+from viskill_deploy.drivers.crtk.topics import topic
+from viskill_deploy.drivers.crtk.transport import Transport
+
+REST: Final[Joints] = (0.0,) * 6
+MOST: Final = 32
+"""Setpoints that may wait: more than a tenth of a second's are no stream any more."""
+
+REPEAT_S: Final = 0.1
+READ_S: Final = 0.01
+ERROR_S: Final = 2.0
+"""What is refused again and again is told this often."""
+
+REFUSED: Final = ("servo_jr", "servo_jf", "move_jp", "move_jr", "move_cp", "jaw/move_jp", "free")
+PERIODIC: Final = ("measured_js", "setpoint_js", "jaw/measured_js", "jaw/setpoint_js")
+POSES: Final = ("measured_cp", "setpoint_cp", "local/measured_cp", "local/setpoint_cp")
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """What operating_state says to the client."""
+
+    state: str
+    is_homed: bool
+    is_busy: bool
+
+
+class OfferedArm:
+    """An arm's topics towards the client.
+
+    Args:
+        arm: the arm.
+        transport: where the client is.
+        prefix: stands in front of the arm's name, such as "guarded".
+        wake: called when something has come.
+
+    Attributes:
+        servo: joints or poses that were asked for and not looked at yet, with time of arrival.
+        jaw: the same for the jaw.
+        commands: state commands, and "hold", in their order.
+    """
+
+    def __init__(
+        self, arm: CellArm, transport: Transport, prefix: str, wake: Callable[[], None]
+    ) -> None:
+        self.name, self._wake, self._transport = arm.name, wake, transport
+        self._cartesian, self._tool = Cartesian(arm), tool_type(arm.arm.tool)
+        self._joints = tuple(joint.name for joint in arm.arm.joints)
+        self._root = f"/{prefix}/{arm.name}" if prefix else f"/{arm.name}"
+        self._stale = StaleCheck(transport.stamp_ns())
+        self.servo: deque[tuple[JointState | PoseStamped, float]] = deque(maxlen=MOST)
+        self.jaw: deque[tuple[JointState, float]] = deque(maxlen=MOST)
+        self.commands: deque[str] = deque()
+        self._refusals: deque[str] = deque(maxlen=MOST)
+        self._told = Condition("", False, False)
+        self._stamp_ns = self._last_ns = 0
+        self._read_due_s = self._repeat_due_s = self._error_due_s = 0.0
+        names = (*PERIODIC, *POSES, "operating_state", "error", "tool_type")
+        self._publish = {name: self._publisher(name) for name in names}
+        self._publish["tool_type"](String(self._tool))
+        self._listen()
+
+    @property
+    def waiting(self) -> list[str]:
+        """Which of its streams have a setpoint that waits: "arm", "jaw"."""
+        return ["arm"] * bool(self.servo) + ["jaw"] * bool(self.jaw)
+
+    @property
+    def arrivals(self) -> list[float]:
+        """When the oldest that waits in each stream came."""
+        return [queue[0][1] for queue in (self.servo, self.jaw) if queue]
+
+    def forget(self) -> None:
+        """Drops what waits."""
+        self.servo.clear()
+        self.jaw.clear()
+
+    def take(self, last: JointSetpoint, period_s: float) -> tuple[JointSetpoint, int]:
+        """The oldest setpoint that waits, and how many before it were lost on the way.
+
+        What the client did not ask for stays where it was. Stamps say what was lost; of a client
+        that does not stamp, nothing is known to be.
+
+        Args:
+            last: what the arm was sent last.
+            period_s: time between two setpoints of the client.
+
+        Raises:
+            KinematicsError: no joints bring the tip to the pose that is asked for.
+        """
+        q, v, lost = last.jp, REST, 0
+        if self.servo:
+            message, _ = self.servo.popleft()
+            lost = self._lost(message.header.stamp.ns, period_s)
+            if isinstance(message, JointState):
+                q, v = message.position, message.velocity
+            else:
+                q, v = self._cartesian.goal(message.pose, last.jp), ()
+            if not v:
+                per_s = 1.0 / ((1 + lost) * period_s)
+                v = tuple([(b - a) * per_s for a, b in zip(last.jp, q, strict=True)])
+        angle, speed = last.jaw, 0.0
+        if self.jaw:
+            message, _ = self.jaw.popleft()
+            angle = message.position[0]
+            speed = message.velocity[0] if message.velocity else (angle - last.jaw) / period_s
+        return JointSetpoint(q, v, angle, speed), lost
+
+    def speak(self, state: ArmState, condition: Condition, now: float) -> None:
+        """Says where the arm is, and in what condition; what was refused too.
+
+        Args:
+            state: of the robot's arm.
+            condition: what the client is told of it.
+            now: the clock that `state` is stamped by.
+        """
+        while self._refusals:
+            self.error(self._refusals.popleft(), now)
+        if now >= self._read_due_s:
+            self._read_due_s = max(self._read_due_s + READ_S, now)
+            stamp_ns = self._transport.stamp_ns() - round((now - state.stamp_s) * NANO)
+            self._read(state, Time.of_ns(stamp_ns) if state.valid else Time())
+        if now >= self._repeat_due_s or condition != self._told:
+            self._told, self._repeat_due_s = condition, now + REPEAT_S
+            self._stamp_ns = max(self._transport.stamp_ns(), self._stamp_ns + 1)
+            head = Header(Time.of_ns(self._stamp_ns))
+            said = (condition.state, condition.is_homed, condition.is_busy)
+            self._publish["operating_state"](OperatingState(head, *said))
+
+    def error(self, text: str, now: float) -> None:
+        """Says why something was not done; seldom, if it goes on."""
+        if now >= self._error_due_s:
+            self._error_due_s = now + ERROR_S
+            self._publish["error"](String(f"{self.name}: {text}"))
+
+    def _read(self, state: ArmState, stamp: Time) -> None:
+        head, names, jaw, say = Header(stamp), self._joints, ("jaw",), self._publish
+        angle = (state.jaw_measured_jp,), (state.jaw_measured_jv,)
+        say["measured_js"](JointState(head, names, state.measured_jp, state.measured_jv))
+        say["setpoint_js"](JointState(head, names, state.setpoint_jp))
+        say["jaw/measured_js"](JointState(head, jaw, *angle))
+        say["jaw/setpoint_js"](JointState(head, jaw, (state.jaw_setpoint_jp,)))
+        local, task = Header(stamp, f"{self.name}_base"), Header(stamp, "task")
+        for kind, q in (("measured", state.measured_jp), ("setpoint", state.setpoint_jp)):
+            if state.valid and (self._is_heard(f"{kind}_cp") or self._is_heard(f"local/{kind}_cp")):
+                T = self._cartesian.local(q)
+                say[f"local/{kind}_cp"](PoseStamped(local, pose_of(T)))
+                T = self._cartesian.T_task_base @ T
+                say[f"{kind}_cp"](PoseStamped(task, pose_of(T)))
+
+    def _lost(self, stamp_ns: int, period_s: float) -> int:
+        """How many setpoints are missing before one that is stamped so."""
+        before, self._last_ns = self._last_ns, stamp_ns
+        if not (before and stamp_ns > before):
+            return 0
+        return max(round((stamp_ns - before) / (period_s * NANO)) - 1, 0)
+
+    def _listen(self) -> None:
+        hear = self._transport.subscribe
+        hear(self._name("state_command"), StringStamped, self._hear_command)
+        hear(self._name("hold"), Empty, self._hear_hold)
+        hear(self._name("servo_jp"), JointState, partial(self._hear_joints, self.servo, 6))
+        hear(self._name("servo_cp"), PoseStamped, self._hear_pose)
+        hear(self._name("jaw/servo_jp"), JointState, partial(self._hear_joints, self.jaw, 1))
+        for name in REFUSED:
+            hear(self._name(name), topic(name).message, partial(self._hear_refused, name))
+
+    def _hear_command(self, word: StringStamped, received_s: float) -> None:
+        del received_s
+        refusal = self._stale.refusal(word.header.stamp.ns, self._transport.stamp_ns())
+        if refusal:
+            self._refusals.append(f'command "{word.string}" {refusal}')
+        else:
+            self.commands.append(word.string)
+        self._repeat_due_s = 0.0  # an answer is awaited
+        self._wake()
+
+    def _hear_hold(self, word: Empty, received_s: float) -> None:
+        del word, received_s
+        self.commands.append("hold")
+        self._wake()
+
+    def _hear_joints(
+        self, queue: deque[Any], count: int, word: JointState, received_s: float
+    ) -> None:
+        if len(word.position) != count or len(word.velocity) not in (0, count):
+            sizes = f"{len(word.position)} positions and {len(word.velocity)} velocities"
+            self._refusals.append(f"a setpoint with {sizes} is refused; send {count} of each")
+            return
+        queue.append((word, received_s))
+        self._wake()
+
+    def _hear_pose(self, word: PoseStamped, received_s: float) -> None:
+        self.servo.append((word, received_s))
+        self._wake()
+
+    def _hear_refused(self, name: str, word: Any, received_s: float) -> None:
+        del word, received_s
+        self._refusals.append(f"{name} does not pass the guard; send servo_jp or servo_cp")
+
+    def _publisher(self, name: str) -> Callable[[Any], None]:
+        entry = topic(name)
+        return self._transport.publisher(self._name(name), entry.message, entry.is_latched)
+
+    def _is_heard(self, name: str) -> bool:
+        return self._transport.peers(self._name(name)) > 0
+
+    def _name(self, name: str) -> str:
+        return f"{self._root}/{name}"

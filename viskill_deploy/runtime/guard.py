@@ -1,0 +1,387 @@
+"""The gate between other people's CRTK programs and a robot: `viskill guard`.
+
+The client's own stream is the clock: a setpoint is judged when it comes and goes on at once, bit
+for bit. While nothing comes the gate looks once a period, so that consent, feedback and watchdog
+are kept an eye on. Only the operator's pedal arms the gate and lets a held run go on.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.errors import DriverError, KinematicsError
+from viskill_deploy.core.types import (
+    Action,
+    ArmState,
+    CellState,
+    JointSetpoint,
+    Mode,
+    Request,
+    Verdict,
+)
+from viskill_deploy.drivers.base import ENABLED, PAUSED, Driver
+from viskill_deploy.drivers.crtk.offered_arm import Condition, OfferedArm
+from viskill_deploy.drivers.crtk.transport import Transport
+from viskill_deploy.motion.links import CellLinks
+from viskill_deploy.runtime.session import Recorder
+from viskill_deploy.safety.decision import Decision
+from viskill_deploy.safety.supervisor import Supervisor
+
+TOGETHER_S: Final = 0.001
+"""What the arms of one moment are sent arrives within this."""
+
+LOST: Final = 3
+"""Periods without a setpoint, while the arms move, after which the stream counts as broken off."""
+
+STILL: Final = 1e-9
+"""rad or m in a period."""
+
+STOP_S: Final = 2.0
+"""What the gate's own stop gets before the guard ends anyway."""
+
+
+@dataclass(frozen=True, slots=True)
+class GuardCounts:
+    """What came of the client's setpoints.
+
+    Attributes:
+        passed: cycles in which they went on to the robot, bit for bit.
+        stopped: times that the gate stepped in.
+        filled: setpoints that were lost on the way and judged by what lay between, not sent.
+    """
+
+    passed: int = 0
+    stopped: int = 0
+    filled: int = 0
+
+
+def _silent(verdicts: Sequence[Verdict], mode: Mode) -> None:
+    """Nobody looks on."""
+
+
+class Guard:
+    """A gate with a client on one side and a robot on the other.
+
+    Args:
+        cell: the arms in their places.
+        driver: the robot, connected.
+        transport: where the client is.
+        recorder: where every cycle is recorded.
+        prefix: stands in front of the arms' names towards the client.
+        tell: called with new verdicts and the mode.
+        recover: puts a robot right that was in FAULT, after a person has looked at it.
+
+    Attributes:
+        gate: the gate.
+        counts: what came of the client's setpoints.
+        is_reset_wanted: a person has looked at what ended the run, and clears it.
+        is_stop_wanted: a person wants the end.
+    """
+
+    def __init__(
+        self,
+        cell: CellDescription,
+        driver: Driver,
+        transport: Transport,
+        recorder: Recorder,
+        prefix: str = "guarded",
+        tell: Callable[[Sequence[Verdict], Mode], None] = _silent,
+        recover: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.driver, self.gate = driver, Supervisor(cell, driver.period_s)
+        self._bell = threading.Event()
+        self.arms = [OfferedArm(arm, transport, prefix, self._bell.set) for arm in cell.arms]
+        self._recorder, self._tell, self._links = recorder, tell, CellLinks(cell)
+        self._recover = recover
+        self._state = driver.state()
+        self._sent: tuple[JointSetpoint, ...] = ()
+        self._last_s, self._told = driver.clock.now(), ""
+        self._expected: frozenset[tuple[int, str]] = frozenset()
+        self._halt = ""  # why the arms have to come to rest
+        self._is_armed = self._is_stopping = self._is_moving = self._at_rest = False
+        self._had_consent = True  # only one that was seen to rise counts
+        self._wants_off = self.is_reset_wanted = self.is_stop_wanted = False
+        self.counts = GuardCounts()
+
+    def run(self) -> None:
+        """Guards until somebody wants the end; the arms are at rest and without power then."""
+        clock = self.driver.clock
+        try:
+            while not self.is_stop_wanted:
+                self._bell.wait(max(self.turn(clock.now()) - clock.now(), 0.0))
+                self._bell.clear()
+        finally:
+            self.close()
+
+    def turn(self, now: float) -> float:
+        """Does what is due; returns when to look again at the latest, driver's clock."""
+        self._obey(now)
+        if self._is_armed:
+            while self._is_due(now):
+                self._cycle(now)
+        elif now >= self._last_s + self.driver.period_s:
+            self._await_operator(now)
+        for arm, state in zip(self.arms, self._state.arms, strict=True):
+            arm.speak(state, self._condition(state), now)
+        return self._next_s(now)
+
+    def close(self) -> None:
+        """Brings moving arms to rest, takes their power and closes the robot's side."""
+        clock = self.driver.clock
+        deadline = clock.now() + STOP_S
+        self._halt = "the guard was ended"
+        while self._is_armed and not self._at_rest and clock.now() < deadline:
+            clock.sleep_until(self._last_s + self.driver.period_s)
+            self._cycle(clock.now())
+        self.driver.watch.release()
+        self.driver.close()
+
+    def _is_due(self, now: float) -> bool:
+        """Whether the gate has to look now: at all that belongs together, or because time is up."""
+        since, period = now - self._last_s, self.driver.period_s
+        if self._is_stopping or self._halt:
+            return since >= period
+        waiting = self._waiting()
+        if waiting:
+            first = min(arrival for arm in self.arms for arrival in arm.arrivals)
+            return waiting >= self._expected or now >= first + TOGETHER_S
+        return since >= (LOST * period if self._is_moving else period)
+
+    def _next_s(self, now: float) -> float:
+        if self._is_armed and self._waiting() and not self._is_stopping:
+            return now + TOGETHER_S / 2
+        periods = LOST if self._is_moving and not self._is_stopping else 1
+        return self._last_s + periods * self.driver.period_s
+
+    def _waiting(self) -> frozenset[tuple[int, str]]:
+        return frozenset((i, kind) for i, arm in enumerate(self.arms) for kind in arm.waiting)
+
+    def _cycle(self, now: float) -> None:
+        """Judges what the client asks for, with what was lost before it, and sends it on."""
+        state = self._read(now)
+        has_consent = state.inputs.consent is True
+        if has_consent and not self._had_consent and self.gate.mode is Mode.HOLDING:
+            self._go_on(state, now)
+        self._had_consent = has_consent
+        *lost, request = self._requests()
+        for between in lost:
+            if not self._judge(state, between, now, is_sent=False):
+                return
+            self.counts = replace(self.counts, filled=self.counts.filled + 1)
+        self._judge(state, request, now)
+
+    def _requests(self) -> list[Request]:
+        """What the gate is asked, in order; all but the last were never heard."""
+        if self._is_stopping:
+            self._forget()
+            return [Request(self._sent)]
+        waiting = self._waiting()
+        if self._halt or (not waiting and self._is_moving):
+            self._forget()
+            return [Request(None, failure=self._halt or "the client's stream has broken off")]
+        self._expected = waiting
+        try:
+            return self._asked()
+        except KinematicsError as error:
+            self._forget()
+            return [Request(None, failure=str(error))]
+
+    def _asked(self) -> list[Request]:
+        period, taken, missing = self.driver.period_s, [], 0
+        for arm, last in zip(self.arms, self._sent, strict=True):
+            setpoint, lost = arm.take(last, period)
+            taken.append(setpoint)
+            missing = max(missing, lost)
+        if missing >= LOST:
+            return [Request(None, failure=f"{missing} setpoints of the client were lost")]
+        parts = [k / (missing + 1) for k in range(1, missing + 1)]
+        rows = [
+            tuple(_between(a, b, part) for a, b in zip(self._sent, taken, strict=True))
+            for part in parts
+        ]
+        free = (True,) * len(self.arms)  # a jaw that opens is the client's wish
+        return [Request(row, may_open_jaw=free) for row in (*rows, tuple(taken))]
+
+    def _judge(self, state: CellState, request: Request, now: float, is_sent: bool = True) -> bool:
+        """One cycle of the gate; whether the request passed."""
+        if not self._recorder.alive:
+            self.gate.report_fault("S32", now)
+        decision = self.gate.check(state, request, now)
+        self._last_s = now
+        if is_sent or not decision.passed:
+            self._send(decision, now)
+        self.driver.watch.beat(self.driver.clock.now())
+        self._note(decision)
+        sent = self._sent
+        tips = (
+            self._links.tips([arm.measured_jp for arm in state.arms])
+            if decision.action < Action.FAULT
+            else None
+        )
+        record = (decision.action, decision.verdicts, decision.mode, tips)
+        self._recorder.cycle(now, state, request, sent, *record)
+        if decision.at_rest and self._wants_off:
+            self._switch_off()
+        return decision.passed
+
+    def _note(self, decision: Decision) -> None:
+        before, self._sent = self._sent, tuple(c.setpoint for c in decision.setpoints)
+        steps = zip(before, self._sent, strict=True)
+        self._is_moving = decision.passed and any(_differ(a, b) for a, b in steps)
+        began = not decision.passed and not self._is_stopping
+        counts = self.counts
+        self.counts = replace(
+            counts, passed=counts.passed + decision.passed, stopped=counts.stopped + began
+        )
+        self._is_stopping, self._at_rest = not decision.passed, decision.at_rest
+        if self._is_stopping:
+            self._halt = ""
+        said = f"{decision.mode}{sorted({v.rule for v in decision.verdicts})}"
+        if said != self._told:
+            self._told = said
+            self._tell(decision.verdicts, decision.mode)
+
+    def _send(self, decision: Decision, now: float) -> None:
+        if decision.action is Action.ESTOP:
+            self._try(self.driver.disable, now)
+        self._try(lambda: self.driver.servo_jp(decision.setpoints), now)
+
+    def _try(self, call: Callable[[], None], now: float) -> None:
+        try:
+            call()
+        except DriverError as error:
+            self.gate.report_fault("S24", now)
+            self._complain(str(error), now)
+
+    def _read(self, now: float) -> CellState:
+        """The newest state; the last one, and a report to the gate, when the driver fails."""
+        try:
+            self._state = self.driver.state()
+        except DriverError as error:
+            self.gate.report_fault("S24", now)
+            self._complain(str(error), now)
+            inputs = self.driver.watch.told(self._state.inputs, now)
+            self._state = replace(self._state, inputs=inputs)
+        return self._state
+
+    def _await_operator(self, now: float) -> None:
+        """Arms the gate when everything is ready and the operator presses the pedal."""
+        self._last_s = now
+        try:
+            self._state = state = self.driver.state()
+        except DriverError as error:
+            self._complain(str(error), now)
+            return
+        self._forget()
+        has_consent = state.inputs.consent is True
+        rises = has_consent and not self._had_consent
+        self._had_consent = has_consent
+        if self.gate.connect(state) is not Mode.READY or not rises:
+            return
+        against = self.gate.arm(state, now)
+        self._tell(against, self.gate.mode)
+        if not against:
+            rest = (0.0,) * 6
+            self._sent = tuple(
+                JointSetpoint(a.setpoint_jp, rest, a.jaw_setpoint_jp, 0.0) for a in state.arms
+            )
+            self._is_armed, self._halt = True, ""
+            self._is_stopping = self._is_moving = self._at_rest = False
+
+    def _go_on(self, state: CellState, now: float) -> None:
+        """The operator has pressed the pedal anew: a held run goes on from rest."""
+        if not self.gate.resume(state, now):
+            self._forget()
+            self._is_stopping, self._at_rest, self._expected = False, False, frozenset()
+            self._tell((), self.gate.mode)
+
+    def _obey(self, now: float) -> None:
+        """What the client commands counts for all arms of the cell."""
+        if self.is_reset_wanted:
+            self.is_reset_wanted = False
+            self._reset(now)
+        for arm in self.arms:
+            while arm.commands:
+                self._follow(arm, arm.commands.popleft(), now)
+
+    def _follow(self, arm: OfferedArm, word: str, now: float) -> None:
+        try:
+            match word:
+                case "enable" | "home" if not self._is_armed:
+                    self._busy(now)
+                    (self.driver.enable if word == "enable" else self.driver.home)()
+                case "enable" | "home":
+                    pass
+                case "pause" | "hold":
+                    self._halt = f"the client asked for {word}" if self._is_moving else ""
+                case "disable":
+                    self._wants_off = True
+                    self._halt = "the client disables the arms"
+                    if not self._is_armed:
+                        self._switch_off()
+                case "resume":
+                    arm.error("a held run goes on when the operator presses the pedal anew", now)
+                case _:
+                    arm.error(f'command "{word}" does not pass the guard', now)
+        except DriverError as error:
+            arm.error(str(error), now)
+
+    def _busy(self, now: float) -> None:
+        """Says that enabling and homing take a while."""
+        for arm, state in zip(self.arms, self._state.arms, strict=True):
+            arm.speak(state, Condition(state.operating_state, state.is_homed, True), now)
+
+    def _switch_off(self) -> None:
+        self._wants_off, self._halt, self._is_armed = False, "", False
+        self.gate.reset(self.driver.clock.now())
+        self.gate.disarm()
+        self.driver.watch.release()
+        self.driver.disable()
+
+    def _reset(self, now: float) -> None:
+        """A person clears what has ended the run; never an emergency stop, never while moving."""
+        if self.gate.reset(now) is Mode.CONNECTED:
+            self._is_armed = self._is_stopping = False
+            self._had_consent = True
+            self.driver.watch.release()
+            try:
+                self._recover()
+            except DriverError as error:
+                self._complain(str(error), now)
+        self._tell((), self.gate.mode)
+
+    def _forget(self) -> None:
+        for arm in self.arms:
+            arm.forget()
+
+    def _complain(self, text: str, now: float) -> None:
+        for arm in self.arms:
+            arm.error(text, now)
+
+    def _condition(self, arm: ArmState) -> Condition:
+        """What a client is told: PAUSED while the gate holds, busy until the operator agrees."""
+        match self.gate.mode:
+            case Mode.ARMED | Mode.RUNNING:
+                return Condition(ENABLED, True, False)
+            case Mode.HOLDING:
+                return Condition(PAUSED, True, False)
+            case Mode.FAULT | Mode.ESTOPPED:
+                return Condition("FAULT", arm.is_homed, False)
+        is_waiting = arm.operating_state == ENABLED and arm.is_homed
+        return Condition(arm.operating_state, arm.is_homed, arm.is_busy or is_waiting)
+
+
+def _between(a: JointSetpoint, b: JointSetpoint, part: float) -> JointSetpoint:
+    """What lay between two setpoints of a stream; not finite where one of them is not."""
+    jp = tuple([x + part * (y - x) for x, y in zip(a.jp, b.jp, strict=True)])
+    return JointSetpoint(jp, b.jv, a.jaw + part * (b.jaw - a.jaw), b.jaw_v)
+
+
+def _differ(a: JointSetpoint, b: JointSetpoint) -> bool:
+    """Whether an arm was told to go elsewhere."""
+    pairs = zip((*a.jp, a.jaw), (*b.jp, b.jaw), strict=True)
+    return any(abs(x - y) > STILL for x, y in pairs)
