@@ -27,7 +27,7 @@ from viskill_deploy.drivers.base import ENABLED, PAUSED, Driver
 from viskill_deploy.drivers.crtk.offered_arm import Condition, OfferedArm
 from viskill_deploy.drivers.crtk.transport import Transport
 from viskill_deploy.motion.links import CellLinks
-from viskill_deploy.runtime.session import Recorder
+from viskill_deploy.runtime.record import Recorder
 from viskill_deploy.safety.decision import Decision
 from viskill_deploy.safety.supervisor import Supervisor
 
@@ -104,7 +104,7 @@ class Guard:
         self._halt = ""  # why the arms have to come to rest
         self._is_armed = self._is_stopping = self._is_moving = self._at_rest = False
         self._had_consent = True  # only one that was seen to rise counts
-        self._wants_off = self.is_reset_wanted = self.is_stop_wanted = False
+        self._wants_on = self._wants_off = self.is_reset_wanted = self.is_stop_wanted = False
         self.counts = GuardCounts()
 
     def run(self) -> None:
@@ -164,9 +164,10 @@ class Guard:
         """Judges what the client asks for, with what was lost before it, and sends it on."""
         state = self._read(now)
         has_consent = state.inputs.consent is True
-        if has_consent and not self._had_consent and self.gate.mode is Mode.HOLDING:
-            self._go_on(state, now)
+        self._wants_on = has_consent and (self._wants_on or not self._had_consent)
         self._had_consent = has_consent
+        if self._wants_on and self.gate.mode is Mode.HOLDING:
+            self._go_on(state, now)
         *lost, request = self._requests()
         for between in lost:
             if not self._judge(state, between, now, is_sent=False):
@@ -196,13 +197,11 @@ class Guard:
             setpoint, lost = arm.take(last, period)
             taken.append(setpoint)
             missing = max(missing, lost)
+        missing = missing if self._is_moving else 0  # a client may fall silent at rest
         if missing >= LOST:
             return [Request(None, failure=f"{missing} setpoints of the client were lost")]
-        parts = [k / (missing + 1) for k in range(1, missing + 1)]
-        rows = [
-            tuple(_between(a, b, part) for a, b in zip(self._sent, taken, strict=True))
-            for part in parts
-        ]
+        pairs, n = list(zip(self._sent, taken, strict=True)), missing + 1
+        rows = [tuple(_between(a, b, k / n, n * period) for a, b in pairs) for k in range(1, n)]
         free = (True,) * len(self.arms)  # a jaw that opens is the client's wish
         return [Request(row, may_open_jaw=free) for row in (*rows, tuple(taken))]
 
@@ -215,6 +214,7 @@ class Guard:
         if is_sent or not decision.passed:
             self._send(decision, now)
         self.driver.watch.beat(self.driver.clock.now())
+        is_over = self._at_rest  # the last sample of the stop has gone out twice
         self._note(decision)
         sent = self._sent
         tips = (
@@ -224,7 +224,7 @@ class Guard:
         )
         record = (decision.action, decision.verdicts, decision.mode, tips)
         self._recorder.cycle(now, state, request, sent, *record)
-        if decision.at_rest and self._wants_off:
+        if is_over and self._wants_off:
             self._switch_off()
         return decision.passed
 
@@ -290,11 +290,12 @@ class Guard:
                 JointSetpoint(a.setpoint_jp, rest, a.jaw_setpoint_jp, 0.0) for a in state.arms
             )
             self._is_armed, self._halt = True, ""
-            self._is_stopping = self._is_moving = self._at_rest = False
+            self._wants_on = self._is_stopping = self._is_moving = self._at_rest = False
 
     def _go_on(self, state: CellState, now: float) -> None:
-        """The operator has pressed the pedal anew: a held run goes on from rest."""
+        """The operator has pressed the pedal anew: a held run goes on as soon as all is well."""
         if not self.gate.resume(state, now):
+            self._wants_on = False
             self._forget()
             self._is_stopping, self._at_rest, self._expected = False, False, frozenset()
             self._tell((), self.gate.mode)
@@ -375,10 +376,22 @@ class Guard:
         return Condition(arm.operating_state, arm.is_homed, arm.is_busy or is_waiting)
 
 
-def _between(a: JointSetpoint, b: JointSetpoint, part: float) -> JointSetpoint:
-    """What lay between two setpoints of a stream; not finite where one of them is not."""
-    jp = tuple([x + part * (y - x) for x, y in zip(a.jp, b.jp, strict=True)])
-    return JointSetpoint(jp, b.jv, a.jaw + part * (b.jaw - a.jaw), b.jaw_v)
+def _between(a: JointSetpoint, b: JointSetpoint, part: float, time_s: float) -> JointSetpoint:
+    """What lay between two setpoints of a stream: cubics by their positions and velocities.
+
+    Args:
+        a, b: the setpoints.
+        part: how far between them, 0 to 1.
+        time_s: time from one to the other.
+    """
+    s, r = part, 1.0 - part
+    rising, first, second = s * s * (3.0 - 2.0 * s), s * r * r * time_s, -s * s * r * time_s
+
+    def cubic(x: float, y: float, v: float, w: float) -> float:
+        return x + rising * (y - x) + first * v + second * w
+
+    jp = tuple(map(cubic, a.jp, b.jp, a.jv, b.jv))
+    return JointSetpoint(jp, b.jv, cubic(a.jaw, b.jaw, a.jaw_v, b.jaw_v), b.jaw_v)
 
 
 def _differ(a: JointSetpoint, b: JointSetpoint) -> bool:

@@ -1,0 +1,377 @@
+"""The guard between a client of CRTK and simulated arms, stepped and all in one process."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from math import cos, nan, pi, sin
+from typing import Any
+
+import numpy as np
+import pytest
+from silent_recorder import SilentRecorder
+
+from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.types import Mode, Verdict
+from viskill_deploy.drivers.crtk.inproc import Inproc
+from viskill_deploy.drivers.crtk.messages import (
+    Empty,
+    Header,
+    JointState,
+    OperatingState,
+    PoseStamped,
+    String,
+    StringStamped,
+    Time,
+)
+from viskill_deploy.drivers.crtk.simulated import SteppedCrtk
+from viskill_deploy.runtime.guard import Guard
+from viskill_deploy.sim.tasks.base import load_task
+from viskill_deploy.sim.world import WorldOptions
+
+CELL = load_cell("bipegtransfer")
+PERIOD_S = 0.005
+GOING = (Mode.ARMED, Mode.RUNNING)
+ARMS = ("PSM1", "PSM2")
+JOINTS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
+
+
+@dataclass
+class Bench:
+    """Client, guard and robot, and what each of them has seen."""
+
+    driver: SteppedCrtk
+    guard: Guard
+    client: Inproc
+    out: dict[str, Any]
+    states: dict[str, OperatingState] = field(default_factory=dict)
+    errors: list[str] = field(default_factory=list)
+    received: dict[str, list[JointState]] = field(default_factory=dict)
+    told: list[tuple[tuple[str, ...], Mode]] = field(default_factory=list)
+    poses: dict[str, PoseStamped] = field(default_factory=dict)
+
+    def step(self, periods: int = 1) -> None:
+        """Time passes, with the guard looking on."""
+        clock = self.driver.clock
+        for _ in range(periods):
+            self.guard.turn(clock.now())
+            clock.sleep_until(clock.now() + PERIOD_S)
+        self.guard.turn(clock.now())
+
+    def command(self, word: str) -> None:
+        stamp = Time.of_ns(self.client.stamp_ns())
+        for arm in ARMS:
+            self.out[f"{arm}/state_command"](StringStamped(Header(stamp), word))
+
+    def stream(self, arm: str, q: Sequence[float], v: Sequence[float] = (), name: str = "") -> None:
+        head = Header(Time.of_ns(self.client.stamp_ns()))
+        topic = f"{arm}/{name}servo_jp"
+        self.out[topic](JointState(head, JOINTS if not name else ("jaw",), tuple(q), tuple(v)))
+
+    def held(self, arm: str) -> tuple[float, ...]:
+        index = ARMS.index(arm)
+        return self.driver.state().arms[index].setpoint_jp
+
+    def ready(self) -> None:
+        """Enabled, homed, and agreed to by the operator."""
+        self.driver.say(consent=False)
+        self.step(3)
+        for word in ("enable", "home"):
+            self.command(word)
+            self.step(5)
+        self.agree()
+        assert self.guard.gate.mode in GOING
+
+    def agree(self) -> None:
+        self.driver.say(consent=False)
+        self.step(60)
+        self.driver.say(consent=True)
+        self.step(4)
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    driver = SteppedCrtk(CELL, WorldOptions(period_s=PERIOD_S))
+    driver.connect()
+    driver.reset(load_task("bipegtransfer").sample_layout(np.random.default_rng(0), "reference"))
+    client = Inproc(driver.exchange)
+    bench: Bench
+
+    def tell(verdicts: Sequence[Verdict], mode: Mode) -> None:
+        bench.told.append((tuple(v.rule for v in verdicts), mode))
+
+    guard = Guard(CELL, driver, Inproc(driver.exchange), SilentRecorder(), tell=tell)
+    out = {}
+    for arm in ARMS:
+        for name, kind in (
+            ("servo_jp", JointState),
+            ("jaw/servo_jp", JointState),
+            ("servo_cp", PoseStamped),
+            ("move_jp", JointState),
+            ("hold", Empty),
+            ("state_command", StringStamped),
+        ):
+            out[f"{arm}/{name}"] = client.publisher(f"/guarded/{arm}/{name}", kind)
+    bench = Bench(driver, guard, client, out)
+    robot = Inproc(driver.exchange)
+    for arm in ARMS:
+        client.subscribe(
+            f"/guarded/{arm}/operating_state",
+            OperatingState,
+            lambda word, _, arm=arm: bench.states.update({arm: word}),
+        )
+        client.subscribe(
+            f"/guarded/{arm}/measured_cp",
+            PoseStamped,
+            lambda word, _, arm=arm: bench.poses.update({arm: word}),
+        )
+        client.subscribe(
+            f"/guarded/{arm}/error", String, lambda word, _: bench.errors.append(word.data)
+        )
+        for name in ("servo_jp", "jaw/servo_jp"):
+            robot.subscribe(
+                f"/{arm}/{name}",
+                JointState,
+                lambda word, _, key=f"{arm}/{name}": bench.received.setdefault(key, []).append(
+                    word
+                ),
+            )
+    yield bench
+    guard.close()
+
+
+def swing(start: Sequence[float], k: int, size: float = 0.01) -> tuple[list[float], list[float]]:
+    """A smooth motion of the first joint, there and back in 200 periods, and its velocities."""
+    w = pi / (200 * PERIOD_S)
+    a, b = sin(w * k * PERIOD_S), cos(w * k * PERIOD_S)
+    return [start[0] + size * a**4, *start[1:]], [4.0 * size * w * a**3 * b, *(0.0,) * 5]
+
+
+def test_a_client_waits_for_the_operator_and_is_told_so(bench: Bench) -> None:
+    bench.step(3)
+    assert bench.states["PSM1"].state == "DISABLED"
+    bench.command("enable")
+    bench.step(5)
+    bench.command("home")
+    bench.step(5)
+    state = bench.states["PSM2"]
+    assert (state.state, state.is_homed, state.is_busy) == ("ENABLED", True, True)
+    bench.stream("PSM1", swing(bench.held("PSM1"), 1)[0])
+    bench.step(2)
+    assert bench.received == {}, "nothing goes on before the operator agrees"
+    bench.agree()
+    state = bench.states["PSM2"]
+    assert (state.state, state.is_homed, state.is_busy) == ("ENABLED", True, False)
+
+
+def test_setpoints_pass_bit_for_bit_at_the_moment_they_come(bench: Bench) -> None:
+    bench.ready()
+    start = {arm: bench.held(arm) for arm in ARMS}
+    jaw = bench.driver.state().arms[0].jaw_setpoint_jp
+    bench.received.clear()
+    asked = []
+    for k in range(1, 201):
+        for arm in ARMS:
+            bench.stream(arm, *swing(start[arm], k))
+            bench.stream(arm, [jaw], [0.0], "jaw/")
+        asked.append(swing(start["PSM1"], k))
+        bench.guard.turn(bench.driver.clock.now())
+        assert len(bench.received["PSM1/servo_jp"]) == k, "at once, not in the next period"
+        bench.driver.clock.sleep_until(bench.driver.clock.now() + PERIOD_S)
+    sent = [(list(word.position), list(word.velocity)) for word in bench.received["PSM1/servo_jp"]]
+    assert sent == asked
+    assert bench.guard.counts.stopped == 0
+    assert bench.guard.gate.mode is Mode.RUNNING
+    assert bench.held("PSM1")[0] == pytest.approx(start["PSM1"][0], abs=1e-6)
+
+
+def test_a_step_of_28_degrees_is_held_until_a_person_clears_it(bench: Bench) -> None:
+    bench.ready()
+    start = bench.held("PSM1")
+    bench.stream("PSM1", [start[0] + 28 * pi / 180, *start[1:]])
+    bench.step(80)
+    assert bench.guard.gate.mode is Mode.HOLDING
+    assert bench.states["PSM1"].state == bench.states["PSM2"].state == "PAUSED"
+    assert bench.held("PSM1") == pytest.approx(start, abs=1e-4)
+    bench.agree()
+    bench.step(50)
+    assert bench.guard.gate.mode is Mode.HOLDING, "its tip would have moved too fast: S10 ends runs"
+    bench.guard.is_reset_wanted = True
+    bench.step(2)
+    bench.agree()
+    assert bench.guard.gate.mode in GOING
+
+
+def test_a_hold_goes_on_when_the_operator_presses_the_pedal_anew(bench: Bench) -> None:
+    bench.ready()
+    start = bench.held("PSM1")
+    bench.stream("PSM1", [*start[:3], start[3] + 0.3, *start[4:]])
+    bench.step(80)
+    assert bench.guard.gate.mode is Mode.HOLDING
+    bench.command("resume")
+    bench.step(5)
+    assert "pedal" in bench.errors[-1]
+    assert bench.guard.gate.mode is Mode.HOLDING, "a program does not clear a hold"
+    bench.agree()
+    bench.step(50)
+    assert bench.guard.gate.mode is Mode.RUNNING
+    bench.received.clear()
+    for k in range(1, 20):
+        bench.stream("PSM1", *swing(start, k))
+        bench.step()
+    assert bench.guard.gate.mode is Mode.RUNNING
+    assert list(bench.received["PSM1/servo_jp"][-1].position) == swing(start, 19)[0]
+
+
+def test_a_nan_is_refused_and_only_a_person_clears_it(bench: Bench) -> None:
+    bench.ready()
+    start = bench.held("PSM1")
+    bench.stream("PSM1", [nan, *start[1:]])
+    bench.step(40)
+    assert bench.guard.gate.mode is Mode.FAULT
+    assert bench.states["PSM1"].state == "FAULT"
+    numbers = [x for words in bench.received.values() for word in words for x in word.position]
+    assert np.isfinite(numbers).all()
+    bench.agree()
+    assert bench.guard.gate.mode is Mode.FAULT
+    bench.guard.is_reset_wanted = True
+    bench.step(2)
+    bench.agree()
+    assert bench.guard.gate.mode in GOING
+
+
+def test_a_client_that_dies_in_mid_motion_is_stopped_within_100_ms(bench: Bench) -> None:
+    bench.ready()
+    start = bench.held("PSM1")
+    for k in range(1, 70):
+        bench.stream("PSM1", *swing(start, k, 0.05))
+        bench.step()
+    moving = bench.guard.counts.passed
+    assert bench.guard.gate.mode is Mode.RUNNING
+    bench.step(int(0.1 / PERIOD_S))
+    assert bench.guard.gate.mode is Mode.HOLDING
+    assert bench.guard.counts.passed == moving
+    assert any("S16" in rules for rules, _ in bench.told)
+    bench.step(40)
+    before = bench.held("PSM1")
+    bench.step(20)
+    assert bench.held("PSM1") == before
+
+
+def test_a_client_that_pauses_at_rest_is_not_held(bench: Bench) -> None:
+    bench.ready()
+    start = bench.held("PSM1")
+    for k in range(1, 201):
+        bench.stream("PSM1", *swing(start, k))
+        bench.step()
+    bench.step(200)
+    assert bench.guard.gate.mode is Mode.RUNNING
+    for k in range(1, 101):
+        bench.stream("PSM1", *swing(start, k))
+        bench.step()
+    assert bench.guard.counts.stopped == 0
+
+
+def test_setpoints_lost_on_the_way_are_judged_by_what_lay_between(bench: Bench) -> None:
+    bench.ready()
+    start = bench.held("PSM1")
+    bench.received.clear()
+    for k in range(1, 201):
+        if k % 17 not in (3, 4):
+            bench.stream("PSM1", *swing(start, k, 0.02))
+        bench.step()
+    assert bench.guard.counts.stopped == 0
+    assert bench.guard.counts.filled == sum(k % 17 in (3, 4) for k in range(1, 201))
+    assert len(bench.received["PSM1/servo_jp"]) == 200 - bench.guard.counts.filled
+
+
+def test_a_jaw_may_be_streamed_less_often_than_its_arm(bench: Bench) -> None:
+    bench.ready()
+    start, jaw = bench.held("PSM1"), bench.driver.state().arms[0].jaw_setpoint_jp
+    for k in range(1, 201):
+        bench.stream("PSM1", *swing(start, k))
+        if k % 4 == 0:
+            bench.stream("PSM1", [jaw], [0.0], "jaw/")
+        bench.step()
+    assert bench.guard.counts.stopped == 0
+
+
+def test_poses_pass_as_joints(bench: Bench) -> None:
+    bench.ready()
+    bench.step(5)
+    goal = bench.poses["PSM1"]
+    before = bench.held("PSM1")
+    for _ in range(20):
+        bench.out["PSM1/servo_cp"](
+            PoseStamped(Header(Time.of_ns(bench.client.stamp_ns())), goal.pose)
+        )
+        bench.step()
+    assert bench.guard.gate.mode is Mode.RUNNING
+    assert bench.held("PSM1") == pytest.approx(before, abs=1e-3)
+
+
+def test_what_the_guard_does_not_pass_is_refused_in_words(bench: Bench) -> None:
+    bench.ready()
+    bench.out["PSM1/move_jp"](JointState(position=bench.held("PSM1")))
+    bench.step(2)
+    assert "move_jp does not pass the guard" in bench.errors[-1]
+    bench.step(500)
+    bench.stream("PSM1", bench.held("PSM1")[:5])
+    bench.step(2)
+    assert "5 positions" in bench.errors[-1]
+    assert bench.guard.gate.mode in GOING
+
+
+def test_consent_that_is_withdrawn_holds_and_disable_takes_the_power(bench: Bench) -> None:
+    bench.ready()
+    start = bench.held("PSM1")
+    for k in range(1, 30):
+        bench.stream("PSM1", *swing(start, k))
+        bench.step()
+    bench.driver.say(consent=False)
+    for k in range(30, 60):
+        bench.stream("PSM1", *swing(start, k))
+        bench.step()
+    assert bench.guard.gate.mode is Mode.HOLDING
+    bench.command("disable")
+    bench.step(80)
+    assert {arm.operating_state for arm in bench.driver.state().arms} == {"DISABLED"}
+    assert bench.states["PSM1"].state == "DISABLED"
+    bench.ready()
+
+
+def test_disabling_in_mid_motion_stops_the_arms_first(bench: Bench) -> None:
+    bench.ready()
+    start = bench.held("PSM1")
+    for k in range(1, 70):
+        bench.stream("PSM1", *swing(start, k, 0.05))
+        bench.step()
+    bench.received.clear()
+    bench.command("disable")
+    bench.step(100)
+    q = [word.position[0] for word in bench.received["PSM1/servo_jp"]]
+    assert len(q) > 5, "the gate's own stop was sent"
+    assert abs(q[-1] - q[-2]) < 1e-9
+    assert bench.driver.state().arms[0].operating_state == "DISABLED"
+
+
+def test_another_program_beside_the_guard_ends_the_run(bench: Bench) -> None:
+    bench.ready()
+    start = bench.held("PSM1")
+    other = Inproc(bench.driver.exchange).publisher("/PSM1/servo_jp", JointState)
+    for k in range(1, 60):
+        bench.stream("PSM1", *swing(start, k))
+        bench.guard.turn(bench.driver.clock.now())
+        if k > 20:
+            other(JointState(position=(start[0] + 0.05, *start[1:]), velocity=(0.0,) * 6))
+        bench.driver.clock.sleep_until(bench.driver.clock.now() + PERIOD_S)
+    assert bench.guard.gate.mode is Mode.FAULT
+    assert any("S24" in rules for rules, _ in bench.told)
+
+
+def test_old_state_commands_of_a_client_are_not_obeyed(bench: Bench) -> None:
+    stamp = Time.of_ns(bench.client.stamp_ns() - 10_000_000_000)
+    bench.out["PSM1/state_command"](StringStamped(Header(stamp), "enable"))
+    bench.step(5)
+    assert bench.states["PSM1"].state == "DISABLED"
+    assert "send it again" in bench.errors[-1]
