@@ -380,7 +380,8 @@ def _between(a: JointSetpoint, b: JointSetpoint, part: float, time_s: float) -> 
     """What lay between two setpoints of a stream: cubics by their positions and velocities.
 
     Args:
-        a, b: the setpoints.
+        a: the earlier one.
+        b: the later one.
         part: how far between them, 0 to 1.
         time_s: time from one to the other.
     """
