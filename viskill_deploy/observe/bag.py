@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from viskill_deploy.core.types import PSM_JOINTS
 from viskill_deploy.observe import frames, layout
 from viskill_deploy.observe.frames import Kind
 from viskill_deploy.observe.layout import Column, Layout
@@ -33,7 +32,8 @@ class Bag:
         self._name = f"{folder.name}_0.mcap"
         self._file = McapFile(folder / self._name, {"hello": json.dumps(hello)})
         self._arms: list[str] = hello["arms"]
-        self._dtype = frames.cycle_dtype(len(self._arms))
+        self._joints: list[str] = hello["joints"]
+        self._dtype = frames.cycle_dtype(len(self._arms), len(self._joints))
         self._ids: dict[str, int] = {}
         self._columns: dict[tuple[str, ...], Column] = {}
         self._origin_ns = 0
@@ -104,7 +104,9 @@ class Bag:
     ) -> None:
         if not len(values):
             return
-        column = self._column(f"{arm}/{topic}", JOINT_STATE, lambda: layout.joint_state(PSM_JOINTS))
+        column = self._column(
+            f"{arm}/{topic}", JOINT_STATE, lambda: layout.joint_state(self._joints)
+        )
         records = column.records(log, stamps)
         records["position"], records["velocity"] = values["q"], values["v"]
         self._file.add(column.channel, records)

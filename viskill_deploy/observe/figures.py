@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -43,23 +44,29 @@ def joint_figure(data: RunData, arm: CellArm, colour: str) -> Figure:
     limits = [*zip(arm.arm.limit(0), arm.arm.limit(1), strict=True)]
     limits.append((arm.arm.jaw.lower_rad, arm.arm.jaw.upper_rad))
     layout = base_layout(440, showlegend=False, hovermode="closest")
-    layout |= {"grid": {"rows": 2, "columns": 4, "pattern": "independent", "ygap": 0.34}}
+    layout |= {
+        "grid": {
+            "rows": math.ceil(arm.arm.axes / 4),
+            "columns": 4,
+            "pattern": "independent",
+            "ygap": 0.34,
+        }
+    }
     layout |= {"annotations": [], "shapes": [], "margin": {"l": 48, "r": 16, "t": 34, "b": 44}}
-    traces = []
-    for index in range(len(PSM_JOINTS) + 1):
-        track = body.position[:, index] if index < len(PSM_JOINTS) else jaw.position[:, 0]
-        low, high = (shown_joint(index, limit)[0] for limit in limits[index])
-        unit = shown_joint(index, 0.0)[1]
-        number = "" if index == 0 else str(index + 1)
-        x, y = thinned(body.time_s, track * shown_joint(index, 1.0)[0])
-        traces.append(
-            line(x, y, joint_label(index), colour, xaxis=f"x{number}", yaxis=f"y{number}")
-        )
+    traces, names = [], arm.arm.joint_names
+    slides = [*(joint.type == "prismatic" for joint in arm.arm.joints), False]
+    for index in range(arm.arm.axes):
+        track = body.position[:, index] if index < len(names) else jaw.position[:, 0]
+        low, high = (shown_joint(slides[index], limit)[0] for limit in limits[index])
+        factor, unit = shown_joint(slides[index], 1.0)
+        number, name = "" if index == 0 else str(index + 1), joint_label(index, names)
+        x, y = thinned(body.time_s, track * factor)
+        traces.append(line(x, y, name, colour, xaxis=f"x{number}", yaxis=f"y{number}"))
         pad = 0.08 * (high - low)
         layout[f"yaxis{number}"] = axis(range=[low - pad, high + pad], nticks=5)
-        bottom = index >= 3
+        bottom = index >= arm.arm.axes - 4
         layout[f"xaxis{number}"] = axis("s" if bottom else "", nticks=5)
-        layout["annotations"].append(_panel_title(f"{joint_label(index)}, {unit}", number))
+        layout["annotations"].append(_panel_title(f"{name}, {unit}", number))
         layout["shapes"] += [_limit_line(value, number) for value in (low, high)]
     return {"data": traces, "layout": layout}
 
@@ -164,13 +171,15 @@ def remote_centre_figure(data: RunData, cell: CellDescription) -> Figure:
 def tracking_figure(data: RunData, cell: CellDescription) -> Figure:
     """Setpoint less measured: the largest revolute joint (mrad) above, the insertion (mm) below."""
     traces = []
-    turning = [index for index in range(len(PSM_JOINTS)) if index != 2]
     for arm, colour in zip(cell.arms, _colours(cell.arms), strict=True):
         measured = data.joints[f"/{arm.name}/measured_js"]
         error = 1e3 * np.abs(_setpoint_at(data, arm.name, measured) - measured.position)
-        x, y = thinned(measured.time_s, error[:, turning].max(axis=1))
+        slides = np.array([joint.type == "prismatic" for joint in arm.arm.joints])
+        x, y = thinned(measured.time_s, error[:, ~slides].max(axis=1))
         traces.append(line(x, y, arm.name, colour, legendgroup=arm.name))
-        x, y = thinned(measured.time_s, error[:, 2])
+        if not slides.any():
+            continue
+        x, y = thinned(measured.time_s, error[:, slides].max(axis=1))
         hidden = {"legendgroup": arm.name, "showlegend": False, "xaxis": "x", "yaxis": "y2"}
         traces.append(line(x, y, arm.name, colour, **hidden))
     layout = base_layout(400, xaxis=axis("time, s", anchor="y2"))
@@ -180,7 +189,7 @@ def tracking_figure(data: RunData, cell: CellDescription) -> Figure:
 
 
 def _setpoint_at(data: RunData, arm: str, measured: Track) -> FloatArray:
-    """Setpoints at the measured times, (n, 6)."""
+    """Setpoints at the measured times, (n, joints)."""
     setpoint = data.joints[f"/{arm}/setpoint_js"]
     if len(setpoint.time_s) == len(measured.time_s):
         return setpoint.position
@@ -190,10 +199,11 @@ def _setpoint_at(data: RunData, arm: str, measured: Track) -> FloatArray:
 
 def verdict_figure(data: RunData) -> Figure:
     """Which rule spoke when, and what was done; the skills that ran stand above."""
+    names = data.about.get("joints", PSM_JOINTS)
     spoken = [row for row in data.verdicts if row.rule]
     rules = sorted({row.rule for row in spoken}, reverse=True)
     traces = [
-        _spoken([row for row in spoken if row.action == action], Action(action))
+        _spoken([row for row in spoken if row.action == action], Action(action), names)
         for action in sorted({row.action for row in spoken})
     ]
     y: Figure = axis(
@@ -212,7 +222,7 @@ def verdict_figure(data: RunData) -> Figure:
     return {"data": traces, "layout": layout}
 
 
-def _spoken(rows: Sequence[VerdictRow], action: Action) -> Figure:
+def _spoken(rows: Sequence[VerdictRow], action: Action, joints: Sequence[str]) -> Figure:
     """One tick a verdict, all of one action."""
     colour = ACTION_COLOURS.get(action, "#64748b")
     marker: Figure = {"color": colour, "size": 10, "symbol": "line-ns"}
@@ -221,7 +231,7 @@ def _spoken(rows: Sequence[VerdictRow], action: Action) -> Figure:
     trace |= {"x": [round(row.time_s, 4) for row in rows], "marker": marker}
     trace["y"] = [rule_label(row.rule) for row in rows]
     trace["text"] = [
-        f"{joint_label(row.joint)}: {row.value:.4g} against {row.limit:.4g}" for row in rows
+        f"{joint_label(row.joint, joints)}: {row.value:.4g} against {row.limit:.4g}" for row in rows
     ]
     return trace
 

@@ -2,7 +2,8 @@
 
 A frame is `HEADER` (kind, bytes of payload) and its payload, little endian. The runtime only packs
 them; all that costs time (message layout, compression, files) is the recorder's. A cycle's frame is
-fixed in size for a given number of arms, so that the recorder can see a run of them as one table.
+fixed in size for a given number of arms and joints, so that the recorder can see a run of them as
+one table.
 """
 
 from __future__ import annotations
@@ -15,9 +16,6 @@ import numpy as np
 from viskill_deploy.core.types import Mode
 
 HEADER = struct.Struct("<II")
-JOINTS = 6
-TRACK = 2 * JOINTS + 2
-"""Numbers of one track: six positions, six velocities, jaw, jaw speed."""
 
 MODES = tuple(Mode)
 MODE_INDEX = {mode: index for index, mode in enumerate(MODES)}
@@ -51,14 +49,19 @@ POSE = struct.Struct("<d128s")
 TEXT = struct.Struct("<d")
 
 
-def cycle_struct(arms: int) -> struct.Struct:
+def track_size(joints: int) -> int:
+    """Numbers of one track: positions, velocities, jaw, jaw speed."""
+    return 2 * joints + 2
+
+
+def cycle_struct(arms: int, joints: int) -> struct.Struct:
     """Header, clock, action, mode, flags and every arm's stamp and three tracks; poses follow."""
-    return struct.Struct(f"<IIdBBB5x{arms * (1 + 3 * TRACK)}d")
+    return struct.Struct(f"<IIdBBB5x{arms * (1 + 3 * track_size(joints))}d")
 
 
-def cycle_dtype(arms: int) -> np.dtype[np.void]:
+def cycle_dtype(arms: int, joints: int) -> np.dtype[np.void]:
     """The payload of a `CYCLE` frame as a record: what `cycle_struct` and the poses lay down."""
-    track = [("q", "<f8", JOINTS), ("v", "<f8", JOINTS), ("jaw", "<f8"), ("jaw_v", "<f8")]
+    track = [("q", "<f8", joints), ("v", "<f8", joints), ("jaw", "<f8"), ("jaw_v", "<f8")]
     arm = [("stamp", "<f8"), ("measured", track), ("sent", track), ("asked", track)]
     head = [("now", "<f8"), ("action", "u1"), ("mode", "u1"), ("flags", "u1"), ("pad", "V5")]
     return np.dtype([*head, ("arm", arm, arms), ("pose", "<f8", (arms, 4, 4))])

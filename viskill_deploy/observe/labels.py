@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 
 from viskill_deploy.core.types import PSM_JOINTS, Action
 
@@ -70,12 +71,12 @@ def action_label(action: int) -> str:
     return ACTIONS.get(Action(action), str(action)) if action in set(Action) else str(action)
 
 
-def joint_label(joint: int) -> str:
-    """Name of a joint by its index; 6 is the jaw, -1 the whole arm."""
-    names = (*PSM_JOINTS, "jaw")
+def joint_label(joint: int, joints: Sequence[str] = PSM_JOINTS) -> str:
+    """Name of a joint by its index; behind the last one is the jaw, -1 the whole arm."""
+    names = (*joints, "jaw")
     return names[joint].replace("_", " ") if 0 <= joint < len(names) else "whole arm"
 
 
-def shown_joint(joint: int, value: float) -> tuple[float, str]:
-    """A joint value in the unit that people read: degrees, or mm for the insertion."""
-    return (value * 1e3, "mm") if joint == 2 else (math.degrees(value), "°")
+def shown_joint(slides: bool, value: float) -> tuple[float, str]:
+    """A joint value in the unit that people read: degrees, or mm where the joint slides."""
+    return (value * 1e3, "mm") if slides else (math.degrees(value), "°")

@@ -41,7 +41,7 @@ from viskill_deploy.core.types import (
     Verdict,
 )
 from viskill_deploy.observe import frames
-from viskill_deploy.observe.frames import HEADER, JOINTS, Kind
+from viskill_deploy.observe.frames import HEADER, Kind
 
 PIPE_BYTES = 1 << 20
 """Asked of the kernel: about a thousand cycles of two arms, four seconds at 250 Hz."""
@@ -50,7 +50,6 @@ OPEN_S = 20.0
 """A recorder that has not opened its file after this time will not."""
 
 SCENE_PERIOD_S = 0.02
-_NOTHING = (math.nan,) * frames.TRACK
 _F_SETPIPE_SZ = getattr(fcntl, "F_SETPIPE_SZ", None)
 
 
@@ -78,7 +77,9 @@ class Recorder:
         self._scene_due_s = -math.inf
         self._failure = ""
         self._arms = len(cell.arms)
-        self._cycle = frames.cycle_struct(self._arms)
+        self._joints = len(cell.arms[0].arm.joints)
+        self._nothing = (math.nan,) * frames.track_size(self._joints)
+        self._cycle = frames.cycle_struct(self._arms, self._joints)
         self._no_poses = bytes(self._arms * 128)
         self._cycle_bytes = self._cycle.size + len(self._no_poses) - HEADER.size
         self._process, self._pipe = _start(self.path)
@@ -89,6 +90,7 @@ class Recorder:
             "arms": [arm.name for arm in cell.arms],
             "robots": [arm.arm.robot for arm in cell.arms],
             "tools": [arm.arm.tool for arm in cell.arms],
+            "joints": cell.arms[0].arm.joint_names,
             "period_s": period_s,
         }
         self._send(Kind.HELLO, json.dumps(hello).encode())
@@ -154,10 +156,10 @@ class Recorder:
         values: list[float] = []
         for index, arm in enumerate(state.arms):
             values.append(arm.stamp_s)
-            values += _six(arm.measured_jp) + _six(arm.measured_jv)
+            values += self._all(arm.measured_jp) + self._all(arm.measured_jv)
             values += arm.jaw_measured_jp, arm.jaw_measured_jv
-            values += _track(sent[index]) if sent else _held(arm)
-            values += _track(asked[index]) if asked else _NOTHING
+            values += self._track(sent[index]) if sent else self._held(arm)
+            values += self._track(asked[index]) if asked else self._nothing
         poses = b"".join([T.tobytes() for T in tip_poses]) if tip_poses else self._no_poses
         mode_index = frames.MODE_INDEX[mode]
         head = (Kind.CYCLE, self._cycle_bytes, now, action, mode_index, flags)
@@ -259,6 +261,19 @@ class Recorder:
             ),
         )
 
+    def _all(self, joints: Joints) -> Joints:
+        """A number for each joint, whatever a faulty driver reported."""
+        count = self._joints
+        return joints if len(joints) == count else (*joints, *self._nothing)[:count]
+
+    def _track(self, s: JointSetpoint) -> tuple[float, ...]:
+        return (*self._all(s.jp), *self._all(s.jv), s.jaw, s.jaw_v)
+
+    def _held(self, arm: ArmState) -> tuple[float, ...]:
+        """The setpoint that the driver holds, at rest."""
+        rest = (0.0,) * self._joints
+        return (*self._all(arm.setpoint_jp), *rest, arm.jaw_setpoint_jp, 0.0)
+
     def _send(self, kind: Kind, payload: bytes) -> None:
         self._write(HEADER.pack(kind, len(payload)) + payload)
 
@@ -271,20 +286,6 @@ class Recorder:
                 self._failed = not self._poll.poll(self._patience_ms)
             except OSError:
                 self._failed = True
-
-
-def _six(joints: Joints) -> Joints:
-    """Six numbers, whatever a faulty driver reported."""
-    return joints if len(joints) == JOINTS else (*joints, *_NOTHING)[:JOINTS]
-
-
-def _track(setpoint: JointSetpoint) -> tuple[float, ...]:
-    return (*_six(setpoint.jp), *_six(setpoint.jv), setpoint.jaw, setpoint.jaw_v)
-
-
-def _held(arm: ArmState) -> tuple[float, ...]:
-    """The setpoint that the driver holds, at rest."""
-    return (*_six(arm.setpoint_jp), *(0.0,) * JOINTS, arm.jaw_setpoint_jp, 0.0)
 
 
 def _start(folder: Path) -> tuple[subprocess.Popen[bytes], int]:

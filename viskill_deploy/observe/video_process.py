@@ -31,7 +31,7 @@ def frame_positions(model: mujoco.MjModel, data: RunData, times_s: FloatArray) -
     qpos = np.tile(model.qpos0, (len(times_s), 1))
     for arm in data.about["arms"]:
         track = data.joints[f"/{arm}/measured_js"]
-        for index, joint in enumerate(PSM_JOINTS):
+        for index, joint in enumerate(data.about.get("joints", PSM_JOINTS)):
             column = model.joint(f"{arm}/{joint}").qposadr[0]
             qpos[:, column] = np.interp(times_s, track.time_s, track.position[:, index])
         jaw = data.joints[f"/{arm}/jaw/measured_js"]

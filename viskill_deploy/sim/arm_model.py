@@ -20,6 +20,7 @@ from viskill_deploy.sim.materials import CONTACT_SOLIMP, CONTACT_SOLREF, FRICTIO
 LINK_MASS_KG = 1e-6
 """Its weight bends no servo by a nanometre, so gravity need not be compensated link by link, which
 took a twentieth of a physics step."""
+LINK_RADIUS_M = 0.05
 STRAIGHT_END_M = 0.015
 """The end of a straight instrument that things feel."""
 FINGER_THICKNESS_M = 0.0014
@@ -79,7 +80,9 @@ def add_arm(spec: mujoco.MjSpec, cell_arm: CellArm, friction: bool) -> None:
         **Touch.NOTHING.bits,
     )
     for index, joint in enumerate(cell_arm.arm.joints):
-        body = _add_link(spec, body, name, joint, friction)
+        parent, body = body, _add_link(spec, body, name, joint, friction)
+        if not cell_arm.arm.has_remote_centre:
+            _add_tube(parent, f"{name}/link{index}", body.pos)
         _add_looks(body, name, index, cell_arm)
     _add_jaw(spec, body, name, cell_arm)
 
@@ -115,6 +118,20 @@ def _add_link(
     )
     _servo(spec, name, mujoco.mjtTrn.mjTRN_JOINT, stiffness, damping, effort)
     return body
+
+
+def _add_tube(body: mujoco.MjsBody, name: str, end: FloatArray) -> None:
+    """What is seen of a link of an arm of a lab's own: a tube from joint to joint."""
+    if math.sqrt(end @ end) < LINK_RADIUS_M:
+        return
+    body.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=[0, 0, 0, *end],
+        size=[LINK_RADIUS_M, 0, 0],
+        material="steel",
+        **Touch.NOTHING.bits,
+    )
 
 
 def _servo(

@@ -178,7 +178,7 @@ def test_every_rule_and_action_has_words():
     assert labels.rule_label("S99") == "S99"
     assert [labels.action_label(a) for a in (0, 3, 42)] == ["passed", "held", "42"]
     assert [labels.joint_label(j) for j in (-1, 4, 6)] == ["whole arm", "wrist pitch", "jaw"]
-    assert labels.shown_joint(2, 0.12) == (120.0, "mm")
+    assert labels.shown_joint(True, 0.12) == (120.0, "mm")
 
 
 def test_margins_come_tightest_first_whatever_their_form():
