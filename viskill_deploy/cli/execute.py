@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from viskill_deploy.cli.run_folder import new_folder, show, written_report
-from viskill_deploy.cli.sources import Calibration, Robot, SceneFile
+from viskill_deploy.cli.sources import Calibration, Inputs, Robot, SceneFile
 from viskill_deploy.cli.terminal import Terminal
 from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.errors import (
@@ -96,6 +96,7 @@ def command(
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Loopback in its own process, against the clock.")
     ] = False,
+    inputs: Inputs = "",
     yes: Annotated[
         bool,
         typer.Option("--yes", help="Do not ask for the name; the consent pedal is still asked."),
@@ -120,9 +121,14 @@ def command(
         is_rehearsal=rehearse,
         lift_m=_height(air),
         stops=step.value if step else "nowhere",
+        has_pedal=bool(inputs),
     )
     if options.mode == "closed-loop" and not options.has_things:
         raise typer.BadParameter("--rehearse and --air run a plan; leave --mode closed-loop out")
+    if inputs and driver is RobotChoice.LOOPBACK and not realtime:
+        raise typer.BadParameter(
+            "--inputs: a person cannot keep up with stepped time; add --realtime"
+        )
     if calibration is None:
         raise CalibrationError(
             "a run on a robot needs its calibration: name it with --calibration, or measure the "
@@ -130,7 +136,7 @@ def command(
         )
     prepared = prepare(Sources(bundle, robot, calibration, scene, wall_time()))
     console = Console(stderr=json_)
-    chosen = RobotOptions(driver.value, realtime, seed=seed)
+    chosen = RobotOptions(driver.value, realtime, seed=seed, inputs=inputs)
     connection = connected(prepared.cell, chosen)
     try:
         _put_things(connection, prepared, seed)

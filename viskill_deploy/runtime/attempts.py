@@ -118,6 +118,8 @@ class Attempts:
         operator, session = self._job.operator, self._session
         if not result.stopped_by or operator is None or not result.skills:
             return None
+        if session.is_stop_wanted:
+            return None
         while session.is_held:
             question = f"held ({result.stopped_by}: {result.reason or 'by the gate'}); resume?"
             wish = asked_while_held(session, operator, f"{question} [Enter: yes, n: no]")

@@ -65,11 +65,17 @@ class PersonsConsent:
     Args:
         driver: what brings the person's word.
         tell: shows a person a line.
+        has_pedal: a simulated cell has a pedal of its own, on which nobody but a person steps.
     """
 
-    def __init__(self, driver: Driver, tell: Callable[[str], None] = lambda note: None) -> None:
+    def __init__(
+        self,
+        driver: Driver,
+        tell: Callable[[str], None] = lambda note: None,
+        has_pedal: bool = False,
+    ) -> None:
         self._driver, self._tell = driver, tell
-        self._is_simulated = driver.capabilities.simulated
+        self._is_simulated = driver.capabilities.simulated and not has_pedal
         self.patience_s = 0.0 if self._is_simulated else PATIENCE_S
 
     def clear(self, gate: Supervisor, now: float) -> None:

@@ -59,6 +59,7 @@ class ExecuteOptions:
         is_rehearsal: everything but the sending.
         lift_m: the whole plan is run so high above the board, with nothing to hold; 0 on it.
         stops: where the arms rest until the operator goes on.
+        has_pedal: consent comes from an input of its own, whatever the arms are.
     """
 
     mode: Mode = "plan"
@@ -69,6 +70,7 @@ class ExecuteOptions:
     is_rehearsal: bool = False
     lift_m: float = 0.0
     stops: Stops = "nowhere"
+    has_pedal: bool = False
 
     @property
     def has_things(self) -> bool:
@@ -151,7 +153,7 @@ def execute(
         driver = unsent
     line = Line(cell, driver.period_s, options.ik_solver, options.speed)
     training = prepared.bundle.manifest.training_range.seen
-    consent = PersonsConsent(driver, operator.tell)
+    consent = PersonsConsent(driver, operator.tell, options.has_pedal)
     session = Session(cell, driver, line, recorder, training, consent, things)
     failure: ViskillError | None = None
     began = clock.now()

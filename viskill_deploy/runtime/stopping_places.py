@@ -28,6 +28,6 @@ def may_go_on(session: Session, job: Job, place: Stops, what: str, result: Episo
     if wish is not None and not wish.strip():
         return True
     if wish is not None:
-        session.line.fail("the operator ended the run")
+        session.ask_to_stop()
     session.come_to_rest(result)
     return False
