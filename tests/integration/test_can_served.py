@@ -17,7 +17,7 @@ from viskill_deploy.core import data, realtime
 from viskill_deploy.core.errors import DataFileError, DriverError
 from viskill_deploy.core.types import Action, CellState, JointSetpoint, Request
 from viskill_deploy.drivers.can.config import load_can, load_with_cell
-from viskill_deploy.drivers.can.driver import CanDriver, connect
+from viskill_deploy.drivers.can.driver import CanDriver
 from viskill_deploy.drivers.can.serving import drive_cell, obey
 from viskill_deploy.drivers.can.simulated import SteppedCan
 from viskill_deploy.safety.supervisor import Supervisor
@@ -80,8 +80,8 @@ def wait(driver: CanDriver, periods: int) -> CellState:
 def test_real_driver_and_served_drives_meet_move_and_part(served: Served, toml: Path) -> None:
     assert re.search(r"PSM1 on udp_multicast 239\.80\.\d+\.2, load 1\d%: yaw 1,", served.said[0])
     file, cell = load_with_cell(str(toml))
-    driver = connect(cell, file)
-    assert isinstance(driver, CanDriver)
+    driver = CanDriver(cell, file)
+    driver.connect()
     try:
         realtime.prepare()  # before arms have power; and other tests do not hold it up
         driver.enable()

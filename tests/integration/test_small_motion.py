@@ -5,17 +5,22 @@ The drives are stepped; what they do to the arms is what the simulator's own joi
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from silent_recorder import SilentRecorder
+from typer.testing import CliRunner
 
+from viskill_deploy.cli.can import app
 from viskill_deploy.core import data
 from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import DriverError, SafetyStop, ViskillError
 from viskill_deploy.drivers.can.config import Bus, CanFile, load_can
+from viskill_deploy.drivers.can.driver import connect
 from viskill_deploy.drivers.can.simulated import SteppedCan
+from viskill_deploy.drivers.can.wiring_check import demand_checked, note_checked
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.runtime.small_motion import (
@@ -25,6 +30,7 @@ from viskill_deploy.runtime.small_motion import (
     all_nudges,
     check_small_motions,
 )
+from viskill_deploy.runtime.small_motion_person import PersonsWitness
 from viskill_deploy.sim.tasks.base import load_task
 from viskill_deploy.sim.world import WorldOptions
 
@@ -139,3 +145,75 @@ def test_the_matrix_of_another_instrument_is_found(tmp_path: Path) -> None:
     assert np.abs(matrices[0] - matrices[1]).max() > 0.2
     with pytest.raises(DriverError, match=r"PSM1 (roll|wrist_pitch|wrist_yaw|jaw), told"):
         checked(of("roll", "wrist_pitch", "wrist_yaw", "jaw"), cell=cell, really=really)
+
+
+class Watcher:
+    """A person who gives one answer after another; the first look finds none."""
+
+    def __init__(self, *answers: str) -> None:
+        self.answers, self.questions = list(answers), list[str]()
+        self.is_looking = False
+
+    def tell(self, note: str) -> None:
+        raise AssertionError(note)
+
+    def ask(self, question: str) -> None:
+        self.questions.append(question)
+
+    def answer(self) -> str | None:
+        self.is_looking = not self.is_looking
+        return None if self.is_looking else self.answers.pop(0)
+
+
+def watched(watcher: Watcher, nudges: list[Nudge]) -> None:
+    driver = SteppedCan(CELL, FILE, OPTIONS)
+    driver.connect()
+    line = Line(CELL, driver.period_s, speed=0.5)
+    with Session(CELL, driver, line, SilentRecorder()) as session:
+        driver.reset(LAYOUT)
+        check_small_motions(session, PersonsWitness(watcher), nudges)
+
+
+def test_a_person_is_told_what_there_is_to_see_and_only_a_yes_is_one() -> None:
+    watcher = Watcher("y", "Yes ", "y", "yes")
+    watched(watcher, of("yaw", "insertion", "roll", "jaw"))
+    yaw, insertion, roll, jaw = watcher.questions
+    assert yaw.startswith("PSM1 yaw: the end of its jaw moves")
+    assert re.search(r"\d mm to -z of the task frame", insertion)  # deeper is down
+    assert "turns clockwise by 11 degrees, seen along its shaft towards the tip" in roll
+    assert "its jaw opens by 11 degrees" in jaw
+    with pytest.raises(DriverError, match=r"PSM1 roll, .* says who watched it"):
+        watched(Watcher("what?"), of("roll", "pitch"))
+
+
+def test_arms_are_not_connected_for_a_run_before_their_axes_were_tried(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VISKILL_STATE", str(tmp_path))
+    with pytest.raises(DriverError, match="run `viskill can check bipegtransfer`"):
+        connect(CELL, FILE)
+    note = note_checked(CELL, FILE, "today")
+    demand_checked(CELL, FILE)
+    other = rewired({"yaw": {"sign": -1}})
+    si = with_tool(tmp_path, "large_needle_driver_420006")
+    for cell, file in ((CELL, other), (si, FILE)):
+        with pytest.raises(DriverError, match="have not been tried"):
+            demand_checked(cell, file)
+    note.write_text(note.read_text().replace("today", "never"))
+    with pytest.raises(DriverError, match="have not been tried"):
+        demand_checked(CELL, FILE)
+    note_checked(CELL, other, "today").rename(note)
+    with pytest.raises(DriverError, match="is not about CAN file"):
+        demand_checked(CELL, FILE)
+
+
+def test_the_command_tries_every_axis_of_simulated_drives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("viskill_deploy.cli.can.all_nudges", lambda cell: of("pitch"))
+    output = str(tmp_path / "run")
+    done = CliRunner().invoke(app, ["check", "bipegtransfer", "--simulated", "--output", output])
+    assert done.exit_code == 0, done.output
+    assert "PSM1 pitch: as told (+0.05 rad)" in done.output
+    assert "nothing is noted" in done.output
+    assert (tmp_path / "run" / "recording").is_dir()

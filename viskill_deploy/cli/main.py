@@ -19,6 +19,7 @@ import typer
 from viskill_deploy.cli import (
     bring,
     calibrate,
+    can,
     check,
     convert,
     doctor,
@@ -56,6 +57,7 @@ app.command("evaluate", epilog=evaluate.EXAMPLE)(evaluate.command)
 app.command("sweep", epilog=sweep.EXAMPLE)(sweep.command)
 app.command("reproduce", epilog=reproduce.EXAMPLE)(reproduce.command)
 app.add_typer(calibrate.app, name="calibrate")
+app.add_typer(can.app, name="can")
 app.command("convert", epilog=convert.EXAMPLE)(convert.command)
 app.add_typer(export.app, name="export")
 app.add_typer(bring.app, name="import")

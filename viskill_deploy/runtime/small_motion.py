@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
+from viskill_deploy.core import realtime
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DriverError, MotionError, SafetyStop
 from viskill_deploy.core.types import PSM_JOINTS, CellState, FloatArray
@@ -92,17 +93,19 @@ def check_small_motions(
         SafetyStop: the gate refuses to arm, or stepped in; or a nudge has no room either way.
     """
     session.make_ready()
+    if not session.driver.capabilities.stepped:
+        realtime.first_in_line()  # arms with power do not wait for other programs
+    ways = [_planned(session, nudge) for nudge in nudges]  # no time for it once they move
     session.begin()
-    for nudge in nudges:
-        turned, plan = _planned(session, nudge)
+    for nudge, out, back in ways:
         witness.look()
-        _follow(session, plan, turned)
-        seen = witness.judge(session, turned)
-        _follow(session, _back(session, plan), turned)
+        _follow(session, out, nudge)
+        seen = witness.judge(session, nudge)
+        _follow(session, back, nudge)
         if seen:
             session.finish()
-            raise DriverError(_sentence(session.cell, turned, seen))
-        progress(turned)
+            raise DriverError(_sentence(session.cell, nudge, seen))
+        progress(nudge)
     session.finish()
 
 
@@ -116,8 +119,8 @@ def _sentence(cell: CellDescription, nudge: Nudge, seen: str) -> str:
     return f"{name_of(cell, nudge)}, {told}, {seen}; put the table of axes right before any run"
 
 
-def _planned(session: Session, nudge: Nudge) -> tuple[Nudge, Plan]:
-    """A nudge that has room, and the checked way out."""
+def _planned(session: Session, nudge: Nudge) -> tuple[Nudge, Plan, Plan]:
+    """A nudge that has room, and the checked ways out and back."""
     state = session.read()
     held = axes_of(state)
     refusals = []
@@ -125,12 +128,12 @@ def _planned(session: Session, nudge: Nudge) -> tuple[Nudge, Plan]:
         goal = held.copy()
         goal[nudge.arm, nudge.axis] += turned.size
         try:
-            plan = _way(session.cell, held, goal)
-            session.check(plan, state)
+            out, back = _way(session.cell, held, goal), _way(session.cell, goal, held)
+            session.check(out, state)
         except (MotionError, SafetyStop) as error:
             refusals.append(str(error))
             continue
-        return turned, plan
+        return turned, out, back
     name = name_of(session.cell, nudge)
     raise SafetyStop(f"{name} has no room for a small motion ({refusals[0]}); move it elsewhere")
 
@@ -140,11 +143,6 @@ def _way(cell: CellDescription, start: FloatArray, goal: FloatArray) -> Plan:
     may_open = (True,) * len(cell.arms)  # before a run no jaw holds anything
     waypoints = [replace(waypoint_at(cell, row), may_open_jaw=may_open) for row in rows]
     return Plan(tuple(waypoints), smooth(cell, rows, cell.file.motion.step_s), {})
-
-
-def _back(session: Session, plan: Plan) -> Plan:
-    ends = [np.array([m.p for m in plan.motion.at(t)]) for t in (plan.motion.duration_s, 0.0)]
-    return _way(session.cell, *ends)
 
 
 def _follow(session: Session, plan: Plan, nudge: Nudge) -> None:

@@ -27,6 +27,7 @@ from viskill_deploy.drivers.can.load import check_load
 from viskill_deploy.drivers.can.master import BusMaster
 from viskill_deploy.drivers.can.measured import Measured, standing
 from viskill_deploy.drivers.can.watch import DriveWatch
+from viskill_deploy.drivers.can.wiring_check import demand_checked
 from viskill_deploy.safety.checked import CheckedSetpoint
 
 PATIENCE_S = 1.0
@@ -369,7 +370,12 @@ class CanDriver:
 
 
 def connect(cell: CellDescription, file: CanFile) -> Driver:
-    """Connected arms on CAN."""
+    """Connected arms on CAN, for a run.
+
+    Raises:
+        DriverError: their axes have not been tried with small motions, or they cannot be connected.
+    """
+    demand_checked(cell, file)
     driver = CanDriver(cell, file)
     driver.connect()
     return driver
