@@ -182,7 +182,7 @@ def test_a_person_is_told_what_there_is_to_see_and_only_a_yes_is_one() -> None:
     assert re.search(r"\d mm to -z of the task frame", insertion)  # deeper is down
     assert "turns clockwise by 11 degrees, seen along its shaft towards the tip" in roll
     assert "its jaw opens by 11 degrees" in jaw
-    with pytest.raises(DriverError, match=r"PSM1 roll, .* says who watched it"):
+    with pytest.raises(DriverError, match=r"PSM1 pitch, .* says who watched it"):
         watched(Watcher("what?"), of("roll", "pitch"))
 
 
