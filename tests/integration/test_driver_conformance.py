@@ -36,6 +36,7 @@ DRIVERS: dict[str, Callable[[], Driver]] = {
     "loopback": lambda: loopback.connect(CELL),
     "CAN, stepped": lambda: can.connect(CELL),
     "CRTK, stepped": lambda: crtk.connect(CELL),
+    "CRTK over DDS": lambda: crtk.connect_served(CELL, WorldOptions(period_s=0.01)),
     "CAN, served": served_can,
     "served loopback": lambda: loopback_served.connect(CELL, WorldOptions(period_s=0.01)),
 }

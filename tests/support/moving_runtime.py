@@ -1,4 +1,4 @@
-"""A runtime to be killed: `python moving_runtime.py FOLDER` drives the served loopback for ever.
+"""A runtime to be killed: `python moving_runtime.py FOLDER DRIVER` drives a served cell for ever.
 
 Both arms swing to and fro at up to 45 mm/s through gate, driver and recorder, as in a run. Prints
 one JSON object when they have begun to, and a second one when the gate has ended the run, which
@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from viskill_deploy.core.description import load_cell
-from viskill_deploy.drivers import loopback_served
+from viskill_deploy.core.description import CellDescription, load_cell
+from viskill_deploy.drivers.crtk.simulated import ServedCrtk
+from viskill_deploy.drivers.loopback_served import ServedLoopback
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.motion.waypoints import ActionSpec, apply_action
 from viskill_deploy.observe.recording import Recorder
@@ -30,10 +31,19 @@ STEPS = 3
 """Steps in one direction before the arms turn."""
 
 
-def main(folder: Path) -> int:
+def served(name: str, cell: CellDescription) -> tuple[ServedLoopback | ServedCrtk, ServedLoopback]:
+    """A driver, "loopback" or "crtk", and the process with its arms."""
+    if name == "crtk":
+        driver = ServedCrtk(cell)
+        return driver, driver.server
+    server = ServedLoopback(cell)
+    return server, server
+
+
+def main(folder: Path, name: str) -> int:
     """Runs; returns the exit code."""
     cell = load_cell("bipegtransfer")
-    driver = loopback_served.ServedLoopback(cell)
+    driver, server = served(name, cell)
     driver.connect()
     driver.reset(load_task("bipegtransfer").sample_layout(np.random.default_rng(0), "reference"))
     line = Line(cell, driver.period_s)
@@ -50,9 +60,10 @@ def main(folder: Path) -> int:
             session.go_to(waypoint)
             if step == 1:
                 tell(
-                    socket=str(driver.path),
-                    server=driver.process.pid if driver.process else 0,
+                    socket=str(server.path),
+                    server=server.process.pid if server.process else 0,
                     watchdog=driver.watch.process.pid,
+                    domain=driver.network.domain if isinstance(driver, ServedCrtk) else -1,
                     recorder=recorder._process.pid,
                 )
             while session.cycle():
@@ -71,4 +82,4 @@ def tell(**what: object) -> None:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(Path(sys.argv[1])))
+    raise SystemExit(main(Path(sys.argv[1]), sys.argv[2]))

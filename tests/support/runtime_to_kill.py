@@ -31,19 +31,26 @@ class EndedByItself(Exception):  # noqa: N818 - nothing that went wrong here
 class RuntimeToKill:
     """A runtime whose arms move, with its server, watchdog and recorder.
 
+    Args:
+        folder: where it records.
+        driver: "loopback" or "crtk".
+
     Attributes:
+        domain: where arms speak CRTK; -1 where they do not.
         process: the runtime.
         recording: folder of its recording.
         state: the robot's last known state.
         stopped_s: when the robot was first told by its watchdog to do what, monotonic clock.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, driver: str = "loopback") -> None:
         self.recording = folder / "recording"
         self.state = CellState((), None)  # type: ignore[arg-type]
         self.stopped_s: dict[str, float] = {}
         self.process = subprocess.Popen(
-            [sys.executable, str(SCRIPT), str(self.recording)], stdout=subprocess.PIPE, text=True
+            [sys.executable, str(SCRIPT), str(self.recording), driver],
+            stdout=subprocess.PIPE,
+            text=True,
         )
         try:
             self._pids = self.told()
@@ -54,6 +61,7 @@ class RuntimeToKill:
             self.process.kill()
             raise EndedByItself(str(self._pids))
         self._open = {name: os.pidfd_open(self._pids[name]) for name in PROCESSES}
+        self.domain: int = self._pids["domain"]
         self._handle = StopHandle(Path(self._pids["socket"]))
         self.look()
 

@@ -46,6 +46,14 @@ class DriverChoice(enum.StrEnum):
     CRTK = "crtk"
 
 
+class TransportChoice(enum.StrEnum):
+    """What carries CRTK."""
+
+    DDS = "dds"
+    ROS1 = "ros1"
+    ROS2 = "ros2"
+
+
 RATES = {DriverChoice.LOOPBACK: 250.0, DriverChoice.CAN: 250.0, DriverChoice.CRTK: 200.0}
 """Hz."""
 
@@ -86,6 +94,13 @@ def command(
         ),
     ] = DriverChoice.LOOPBACK,
     inputs: Inputs = "",
+    transport: Annotated[
+        TransportChoice | None,
+        typer.Option(
+            help="What carries CRTK with --driver crtk --realtime: dds by default, ROS 2's wire "
+            "without ROS; ros1 and ros2 need theirs. Stepped arms are in this process."
+        ),
+    ] = None,
     ik_solver: Annotated[str, typer.Option(help="QP solver of the IK.")] = "daqp",
     speed: Annotated[
         float,
@@ -161,6 +176,8 @@ def command(
     if scene is not None and distribution is not None:
         raise typer.BadParameter("--scene says where things are; leave --distribution out")
     _check(prepared, distribution, ik_solver)
+    if transport is not None and not (driver is DriverChoice.CRTK and realtime):
+        raise typer.BadParameter("--transport goes with --driver crtk --realtime")
     world = WorldOptions(
         period_s=1.0 / (rate or RATES[driver]),
         joint_noise_rad=joint_noise,
@@ -186,6 +203,7 @@ def command(
         real_time=realtime,
         driver=driver.value,
         inputs=inputs,
+        transport=(transport or TransportChoice.DDS).value,
         ik_solver=ik_solver,
         speed=speed,
         faults=_faults(fault or (), mode),

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import os
+from collections.abc import Iterator
 
 PRIORITY = 50
 WATCHDOG_PRIORITY = 60
 """Above what it watches: a control loop that never sleeps must not keep it from looking."""
+
+EARS_PRIORITY = 55
+"""Of threads that bring the control loop what it waits for, and are done at once."""
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 
@@ -61,6 +66,23 @@ def first_in_line(priority: int = PRIORITY) -> list[str]:
             "allow it with a rtprio entry in /etc/security/limits.conf"
         ]
     return []
+
+
+@contextlib.contextmanager
+def ahead(priority: int = EARS_PRIORITY) -> Iterator[None]:
+    """Threads that are started within are first in line from their start, where that is granted.
+
+    A thread takes after the one that starts it; what a library starts cannot be reached otherwise.
+    """
+    if not hasattr(os, "sched_setscheduler"):
+        yield
+        return
+    policy, param = os.sched_getscheduler(0), os.sched_getparam(0)
+    first_in_line(priority)
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, policy, param)
 
 
 def pause() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Literal
 
 from viskill_deploy.core.description import CellDescription
@@ -15,7 +16,12 @@ DriverName = Literal["loopback", "can", "crtk"]
 
 
 def simulated_driver(
-    name: DriverName, cell: CellDescription, world: WorldOptions, seed: int, real_time: bool
+    name: DriverName,
+    cell: CellDescription,
+    world: WorldOptions,
+    seed: int,
+    real_time: bool,
+    transport: str = "dds",
 ) -> Driver:
     """A connected driver of a simulated cell.
 
@@ -25,6 +31,7 @@ def simulated_driver(
         world: control period, noise and delay.
         seed: of noise, offsets and losses.
         real_time: the cell runs as a process of its own, against the clock; else it is stepped.
+        transport: what carries CRTK between two processes.
 
     Raises:
         DriverError: it cannot be connected.
@@ -39,7 +46,8 @@ def simulated_driver(
         case "crtk":
             from viskill_deploy.drivers.crtk import simulated as crtk  # noqa: PLC0415
 
-            connect = crtk.connect
+            served = partial(crtk.connect_served, transport=transport)
+            connect = served if real_time else crtk.connect
         case "loopback":
             connect = loopback_served.connect if real_time else loopback.connect
     return connect(cell, world, seed)

@@ -50,6 +50,7 @@ class DryRunOptions:
         real_time: the simulated cell runs as a process of its own, against the clock.
         driver: what stands between runtime and simulated cell.
         inputs: the node whose consent counts, such as "can:pedal"; "" for the simulated operator.
+        transport: what carries CRTK to a simulated cell in a process of its own.
         speed: how fast the time base of line and gate runs, in (0, 1].
         faults: what goes wrong on the way.
         retries: how often in an episode a skill is tried again where a grasp was lost or the value
@@ -64,6 +65,7 @@ class DryRunOptions:
     real_time: bool = False
     driver: DriverName = "loopback"
     inputs: str = ""
+    transport: str = "dds"
     ik_solver: str = "daqp"
     speed: float = 1.0
     faults: tuple[Injection, ...] = ()
@@ -89,7 +91,12 @@ def dry_run(
     clock, notes = MonotonicClock(), list(prepared.notes)
     failure: ViskillError | None = None
     driver = simulated_driver(
-        options.driver, prepared.cell, options.world, options.seed, options.real_time
+        options.driver,
+        prepared.cell,
+        options.world,
+        options.seed,
+        options.real_time,
+        options.transport,
     )
     driver = with_inputs(driver, options.inputs)
     consent = NodesConsent(say) if options.inputs else None

@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from viskill_deploy.core import realtime
 from viskill_deploy.core.errors import DriverError, MissingExtraError, MissingRosError
 from viskill_deploy.drivers.crtk.transport import Transport
 
@@ -81,7 +82,8 @@ def _dds(network: Network) -> Transport:
         from viskill_deploy.drivers.crtk.dds import Dds  # noqa: PLC0415 - optional
     except ImportError as error:
         raise MissingExtraError("ros", "CRTK over plain DDS") from error
-    return Dds(network.domain_id(), network.interface)
+    with realtime.ahead():  # its threads bring what the control loop waits for
+        return Dds(network.domain_id(), network.interface)
 
 
 def _ros1(network: Network) -> Transport:
@@ -89,7 +91,8 @@ def _ros1(network: Network) -> Transport:
         from viskill_deploy.drivers.crtk.ros1 import Ros1  # noqa: PLC0415 - optional
     except ImportError as error:
         raise MissingRosError(f"rospy cannot be imported ({error}); {ROS1_ADVICE}") from error
-    return Ros1(network.node, network.interface)
+    with realtime.ahead():  # its threads bring what the control loop waits for
+        return Ros1(network.node, network.interface)
 
 
 def _ros2(network: Network) -> Transport:
@@ -99,7 +102,8 @@ def _ros2(network: Network) -> Transport:
         raise MissingRosError(
             f"rclpy or crtk_msgs cannot be imported ({error}); {ROS2_ADVICE}"
         ) from error
-    return Ros2(network.node, network.domain_id(), network.interface)
+    with realtime.ahead():  # its threads bring what the control loop waits for
+        return Ros2(network.node, network.domain_id(), network.interface)
 
 
 OPENERS: dict[str, Callable[[Network], Transport]] = {"ros1": _ros1, "ros2": _ros2, "dds": _dds}

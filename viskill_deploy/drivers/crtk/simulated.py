@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+from typing import Final
 
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import FloatArray, JointSetpoint, Scene
 from viskill_deploy.drivers.base import Capabilities, Driver
 from viskill_deploy.drivers.crtk.driver import CrtkDriver, CrtkOptions
 from viskill_deploy.drivers.crtk.inproc import Exchange, Inproc
+from viskill_deploy.drivers.crtk.opening import open_transport
+from viskill_deploy.drivers.crtk.private_network import PrivateNetwork
 from viskill_deploy.drivers.crtk.simulated_cell import CrtkCell, ServerOptions
 from viskill_deploy.drivers.crtk.transport import Transport
+from viskill_deploy.drivers.crtk.watchdog import start_watch
 from viskill_deploy.drivers.loopback import WorldClock
 from viskill_deploy.drivers.loopback_cell import LoopbackCell
+from viskill_deploy.drivers.loopback_served import ServedLoopback
 from viskill_deploy.drivers.sides import SIMULATED, Side, SteppedSide, WithSide
 from viskill_deploy.drivers.watch import OwnTime, Watch
 from viskill_deploy.sim.world import World, WorldOptions
 
-PERIOD_S = 0.005
+SERVER: Final = "viskill_deploy.drivers.crtk.server"
+
+PERIOD_S: Final = 0.005
 """200 Hz; dVRK's own loop is faster, its feedback is not."""
 
-ARRIVAL_S = 1.0
+ARRIVAL_S: Final = 1.0
 """How long the arms' word on where they were put may take."""
 
 
@@ -106,8 +116,68 @@ class SteppedCrtk(SimulatedCrtk):
         self.front.cell.restore(physics, setpoints)
 
 
+class ServedCrtk(SimulatedCrtk):
+    """dVRK arms in a process of their own, in real time, on a network of their own.
+
+    Args:
+        cell: the cell.
+        transport: name of the transport between the driver and the arms.
+        options: period, noise, delay and what else is not perfect.
+        seed: of noise, offsets and losses.
+        server: how the simulated dVRK behaves.
+
+    Attributes:
+        network: where the arms are, for whoever wants to listen too.
+        server: their process and its private socket.
+    """
+
+    capabilities = Capabilities(simulated=True, stepped=False, resettable=True, sees_scene=True)
+
+    def __init__(
+        self,
+        cell: CellDescription,
+        transport: str = "dds",
+        options: WorldOptions | None = None,
+        seed: int = 0,
+        server: ServerOptions | None = None,
+    ) -> None:
+        options = options or WorldOptions(period_s=PERIOD_S)
+        self._private = PrivateNetwork()
+        self.network = network = self._private.network
+        arms = asdict(server or ServerOptions(homing="stay"))
+        arguments = ["--transport", transport, "--network", json.dumps(asdict(network))]
+        arguments += ["--crtk", json.dumps(arms)]
+        self.server = ServedLoopback(cell, options, seed, SERVER, arguments, is_watched=False)
+        names = [arm.name for arm in cell.arms]
+        start = partial(start_watch, names, transport, network)
+        node = open_transport(transport, network)
+        super().__init__(cell, node, options.period_s, self.server, start)
+
+    def connect(self) -> None:
+        """Starts the process with the arms, and connects."""
+        self.server.connect()
+        super().connect()
+
+    def close(self) -> None:
+        """Holds, disables, and ends the process."""
+        super().close()
+        self._private.close()
+
+
 def connect(cell: CellDescription, options: WorldOptions | None = None, seed: int = 0) -> Driver:
     """Connected dVRK arms, stepped in this process."""
     driver = SteppedCrtk(cell, options, seed)
+    driver.connect()
+    return driver
+
+
+def connect_served(
+    cell: CellDescription,
+    options: WorldOptions | None = None,
+    seed: int = 0,
+    transport: str = "dds",
+) -> Driver:
+    """Connected dVRK arms in a process of their own."""
+    driver = ServedCrtk(cell, transport, options, seed)
     driver.connect()
     return driver
