@@ -37,9 +37,10 @@ def test_a_domain_is_on_one_interface_at_a_time() -> None:
     node.close()
 
 
-def test_an_interface_that_is_not_there_is_an_error() -> None:
-    with pytest.raises(DriverError, match=r"203\.0\.113\.7 does not open"):
-        open_transport("dds", Network(DOMAIN + 1, "203.0.113.7"))
+@pytest.mark.parametrize("wrong", ["203.0.113.7", "127.0.0.1.5", "localhost", "::1", '1"/>'])
+def test_an_interface_that_is_not_ours_is_an_error(wrong: str) -> None:
+    with pytest.raises(DriverError, match="is no IPv4 address of this machine"):
+        open_transport("dds", Network(DOMAIN + 1, wrong))
 
 
 def test_the_environment_says_the_domain(monkeypatch: pytest.MonkeyPatch) -> None:

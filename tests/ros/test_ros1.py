@@ -1,6 +1,9 @@
 """What only ROS 1 does: services, hashes of definitions, a master that may be missing."""
 
 import importlib
+import os
+import subprocess
+import sys
 
 import crtk_samples
 import pytest
@@ -62,3 +65,26 @@ def test_services_answer_another_process(ros_master: str) -> None:
             messages.ForwardKinematicsResponse,
             lambda request: messages.ForwardKinematicsResponse(),
         )
+
+
+def test_it_is_taken_by_itself_where_ros1_was_sourced(
+    ros_master: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_VERSION", "1")
+    node = open_transport("auto", Network(interface=LOOPBACK))
+    assert node.name == "ros1"
+    node.close()
+
+
+def test_a_master_that_does_not_answer_is_an_error_and_no_wait() -> None:
+    command = [
+        sys.executable,
+        "-c",
+        "from viskill_deploy.drivers.crtk.opening import *\n"
+        "open_transport('ros1', Network(interface=LOOPBACK))",
+    ]
+    settings = {**os.environ, "ROS_MASTER_URI": "http://127.0.0.1:9"}
+    told = subprocess.run(
+        command, check=False, env=settings, capture_output=True, text=True, timeout=30
+    )
+    assert "no ROS 1 master answers at http://127.0.0.1:9; start roscore" in told.stderr

@@ -85,3 +85,9 @@ def test_a_closed_node_serves_nothing() -> None:
             messages.ForwardKinematicsResponse,
             lambda request: messages.ForwardKinematicsResponse(),
         )
+
+
+def test_it_is_taken_by_itself_where_ros2_is() -> None:
+    node = open_transport("auto", Network(DOMAIN, LOOPBACK))
+    assert node.name == "ros2"
+    node.close()

@@ -41,7 +41,8 @@ class DvrkClient:
 
         from viskill_deploy.drivers.crtk.ros1_types import ros1_class
 
-        rospy.init_node("dvrk_client", anonymous=True, disable_signals=True)
+        if not rospy.core.is_initialized():  # a process is one node, whoever made it
+            rospy.init_node("dvrk_client", anonymous=True, disable_signals=True)
         self._stamped = ros1_class(messages.StringStamped)
         self._joints = ros1_class(messages.JointState)
         self.states: list[Any] = []

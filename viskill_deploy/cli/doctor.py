@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.metadata
 import importlib.util
 import json
@@ -19,6 +20,7 @@ from viskill_deploy.core import data, realtime
 from viskill_deploy.core.description import load_cell, load_robot
 from viskill_deploy.core.errors import ViskillError
 from viskill_deploy.core.robot_files import ToolFile, read_toml
+from viskill_deploy.drivers.crtk.readiness import MODULES, choose, readiness
 
 EXAMPLE = "Example: viskill doctor --json"
 
@@ -65,6 +67,7 @@ def _examine() -> dict[str, Any]:
         "extras": {
             extra: importlib.util.find_spec(module) is not None for extra, module in EXTRAS.items()
         },
+        "crtk": _crtk(),
         "real_time_refusals": realtime.refusals(),
         "video": {lib: find_library(lib) is not None for lib in ("EGL", "OSMesa")},
         "data_roots": [str(root) for root in data.data_roots() if root.is_dir()],
@@ -72,6 +75,20 @@ def _examine() -> dict[str, Any]:
         "bundles": bundles,
         "problems": problems,
     }
+
+
+def _crtk() -> dict[str, Any]:
+    """Which transports of CRTK can be opened here, and which one "auto" takes."""
+    transports = {
+        name: {"ready": not found.missing, "missing": list(found.missing), "advice": found.advice}
+        for name in MODULES
+        for found in (readiness(name),)
+    }
+    try:
+        auto: dict[str, str] | None = dataclasses.asdict(choose())
+    except ViskillError:
+        auto = None
+    return {"transports": transports, "auto": auto}
 
 
 def _data_files() -> tuple[dict[str, str], list[str]]:
@@ -116,6 +133,11 @@ def _print(found: dict[str, Any]) -> None:
     for extra, there in found["extras"].items():
         hint = "installed" if there else f"not installed: pip install 'viskill-deploy[{extra}]'"
         print(f"extra {extra}: {hint}")
+    for name, one in found["crtk"]["transports"].items():
+        hint = "ready" if one["ready"] else f"{', '.join(one['missing'])} missing: {one['advice']}"
+        print(f"CRTK over {name}: {hint}")
+    auto = found["crtk"]["auto"]
+    print(f"CRTK by itself: {auto['name'] + ', since ' + auto['reason'] if auto else 'none'}")
     for refusal in found["real_time_refusals"] or ["granted, and memory can be locked"]:
         print(f"real-time scheduling: {refusal}")
     drawn = [lib for lib, there in found["video"].items() if there]

@@ -5,10 +5,14 @@ There is no call for it: each reads its own XML, while a node is made.
 
 from __future__ import annotations
 
+import ipaddress
 import os
+import socket
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+from viskill_deploy.core.errors import DriverError
 
 CYCLONE = """<CycloneDDS><Domain><General>{multicast}<Interfaces>
 <NetworkInterface address="{address}"{option}/></Interfaces></General>{discovery}
@@ -41,6 +45,27 @@ FAST_DISCOVERY = """<builtin>
 def is_loopback(interface: str) -> bool:
     """Whether an address is this machine's own."""
     return interface.startswith("127.")
+
+
+def demand_own(interface: str) -> None:
+    """Refuses what is no address of this machine; Fast DDS would speak on others instead.
+
+    Args:
+        interface: an IPv4 address, or "".
+
+    Raises:
+        DriverError: it is not ours.
+    """
+    if not interface:
+        return
+    try:
+        ipaddress.IPv4Address(interface)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+            one.bind((interface, 0))
+    except (ValueError, OSError) as error:
+        raise DriverError(
+            f"{interface} is no IPv4 address of this machine ({error}); `ip address` lists them"
+        ) from error
 
 
 def cyclone_settings(interface: str) -> str:

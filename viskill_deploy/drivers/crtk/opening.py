@@ -6,13 +6,18 @@ everywhere.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from viskill_deploy.core import realtime
 from viskill_deploy.core.errors import DriverError, MissingExtraError, MissingRosError
+from viskill_deploy.drivers.crtk.interfaces import demand_own
+from viskill_deploy.drivers.crtk.readiness import ADVICE, choose
 from viskill_deploy.drivers.crtk.transport import Transport
+
+LOG = logging.getLogger(__name__)
 
 LOOPBACK = "127.0.0.1"
 """The interface of who must not be reached from outside: simulators and tests."""
@@ -49,22 +54,12 @@ LAST_DOMAIN = 232
 """The last whose ports exist."""
 
 
-ROS1_ADVICE = (
-    "on Debian or Ubuntu: apt-get install python3-rospy, and let this Python see "
-    "/usr/lib/python3/dist-packages after its own packages (tests/ros/install does it with a .pth "
-    "file); in a ROS installation: source its setup.bash"
-)
-ROS2_ADVICE = (
-    "source the setup.bash of ROS 2 and of the workspace with crtk_msgs, and use that ROS's "
-    "Python; or say dds, which needs no ROS"
-)
-
-
 def open_transport(name: str, network: Network | None = None) -> Transport:
     """A node on the robot's network.
 
     Args:
-        name: "dds", "ros1" or "ros2".
+        name: "ros1", "ros2" or "dds"; "auto" takes what `readiness.choose` says. The transport's
+            own `name` says which it became.
         network: where.
 
     Raises:
@@ -72,9 +67,16 @@ def open_transport(name: str, network: Network | None = None) -> Transport:
         MissingExtraError: CycloneDDS is not installed.
         MissingRosError: ROS is not.
     """
+    if name == "auto":
+        choice = choose()
+        LOG.info("CRTK over %s: %s", choice.name, choice.reason)
+        name = choice.name
     if name not in OPENERS:
-        raise DriverError(f"there is no transport {name!r}; say one of {', '.join(OPENERS)}")
-    return OPENERS[name](network or Network())
+        raise DriverError(f"there is no transport {name!r}; say auto, {', '.join(OPENERS)}")
+    network = network or Network()
+    demand_own(network.interface)
+    with realtime.ahead():  # its threads bring what the control loop waits for
+        return OPENERS[name](network)
 
 
 def _dds(network: Network) -> Transport:
@@ -82,17 +84,15 @@ def _dds(network: Network) -> Transport:
         from viskill_deploy.drivers.crtk.dds import Dds  # noqa: PLC0415 - optional
     except ImportError as error:
         raise MissingExtraError("ros", "CRTK over plain DDS") from error
-    with realtime.ahead():  # its threads bring what the control loop waits for
-        return Dds(network.domain_id(), network.interface)
+    return Dds(network.domain_id(), network.interface)
 
 
 def _ros1(network: Network) -> Transport:
     try:
         from viskill_deploy.drivers.crtk.ros1 import Ros1  # noqa: PLC0415 - optional
     except ImportError as error:
-        raise MissingRosError(f"rospy cannot be imported ({error}); {ROS1_ADVICE}") from error
-    with realtime.ahead():  # its threads bring what the control loop waits for
-        return Ros1(network.node, network.interface)
+        raise MissingRosError(f"rospy cannot be imported ({error}); {ADVICE['ros1']}") from error
+    return Ros1(network.node, network.interface)
 
 
 def _ros2(network: Network) -> Transport:
@@ -100,10 +100,9 @@ def _ros2(network: Network) -> Transport:
         from viskill_deploy.drivers.crtk.ros2 import Ros2  # noqa: PLC0415 - optional
     except ImportError as error:
         raise MissingRosError(
-            f"rclpy or crtk_msgs cannot be imported ({error}); {ROS2_ADVICE}"
+            f"rclpy or crtk_msgs cannot be imported ({error}); {ADVICE['ros2']}"
         ) from error
-    with realtime.ahead():  # its threads bring what the control loop waits for
-        return Ros2(network.node, network.domain_id(), network.interface)
+    return Ros2(network.node, network.domain_id(), network.interface)
 
 
 OPENERS: dict[str, Callable[[Network], Transport]] = {"ros1": _ros1, "ros2": _ros2, "dds": _dds}

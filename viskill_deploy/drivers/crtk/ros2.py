@@ -12,6 +12,7 @@ from typing import Any
 
 import crtk_msgs.msg  # noqa: F401 - looked for before the robot is
 import rclpy
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
@@ -22,6 +23,12 @@ from viskill_deploy.drivers.crtk.conversion import from_native, to_native
 from viskill_deploy.drivers.crtk.interfaces import is_loopback, ros2_environment
 from viskill_deploy.drivers.crtk.loopback_only import confine
 from viskill_deploy.drivers.crtk.transport import EVENTS_KEPT, M, Q, R, TransportName, hand_over
+
+NO_EVENTS = (
+    SubscriptionEventCallbacks(use_default_callbacks=False),
+    PublisherEventCallbacks(use_default_callbacks=False),
+)
+"""rclpy would wait for several events of every topic: with two arms, four times slower."""
 
 
 class Ros2:
@@ -74,7 +81,9 @@ class Ros2:
     ) -> Callable[[M], None]:
         """What publishes on a topic."""
         self._check(topic, message)
-        mouth = self._node.create_publisher(_class(message), topic, _qos(is_latched))
+        mouth = self._node.create_publisher(
+            _class(message), topic, _qos(is_latched), event_callbacks=NO_EVENTS[1]
+        )
         self._mouths[topic] = mouth
         encode = encoder(message)
 
@@ -103,7 +112,7 @@ class Ros2:
             hand_over(topic, data, decode, hear, self._clock.now())
 
         ear = self._node.create_subscription(
-            _class(message), topic, arrive, _qos(is_latched), raw=True
+            _class(message), topic, arrive, _qos(is_latched), raw=True, event_callbacks=NO_EVENTS[0]
         )
         self._ears.setdefault(topic, []).append(ear)
 
