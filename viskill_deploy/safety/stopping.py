@@ -99,66 +99,115 @@ class CommonStop:
     """The way to rest of an arm that no mechanism keeps in its port: all joints under one clock.
 
     Joints that each stop as fast as they can stop at different times, and the shaft leaves the port
-    meanwhile. Here the arm runs out along its present velocity, q + v s(t), and its present
-    acceleration dies away along itself, a u(t): both keep the shaft in the port up to the square
-    of a way of millirads. Each gets half of every joint's acceleration and jerk.
+    meanwhile. Here time itself runs out: the arm goes on along its path as it bends now, q + v s +
+    c s^2 / 2, while the rate of s falls from 1 to 0. The acceleration is split for that: what lies
+    along the speed is the clock's, b = a v / v^2; the rest is the path's bend, c = a - b v, and a
+    path that keeps the port bends with it. So the shaft leaves the port by no more than the cube of
+    a short way.
 
     Attributes:
         duration_s: time until rest.
     """
 
-    __slots__ = ("_along", "_bend", "_jaw", "_motions", "duration_s")
+    __slots__ = ("_clock", "_jaw", "_motions", "duration_s")
 
     def __init__(
         self, motions: Iterable[Motion], max_acceleration: Joints, max_jerk: Joints
     ) -> None:
         """Plans the stop; arguments as those of `ArmStop`."""
         *joints, jaw = motions
-        self._motions = tuple(joints)
         self._jaw = JointStop(*jaw, max_acceleration[-1], max_jerk[-1])
-        limits = (max_acceleration, max_jerk)
-        self._along = _unit_stop((1.0, 0.0), [v for _, v, _ in joints], *limits)
-        self._bend = _unit_stop((0.0, 1.0), [a for _, _, a in joints], *limits)
-        self.duration_s = max(self._along.duration_s, self._bend.duration_s, self._jaw.duration_s)
+        self._clock, self._motions = _clock_stop(joints, max_acceleration, max_jerk)
+        self.duration_s = max(self._clock.duration_s, self._jaw.duration_s)
 
     @property
     def end(self) -> Joints:
         """Where the joints come to rest."""
-        s, u = self._along.end, self._bend.end
-        return tuple([p + v * s + a * u for p, v, a in self._motions])
+        return self._at(self._clock.end)
 
     def extent(self, joint: int) -> tuple[float, float]:
-        """Bounds of one joint's positions on the way."""
-        p, v, a = self._motions[joint]
-        ways = v * self._along.end, a * self._bend.end
-        return p + sum([min(way, 0.0) for way in ways]), p + sum([max(way, 0.0) for way in ways])
+        """Smallest and largest position of one joint on the way."""
+        p, v, c = self._motions[joint]
+        first, last = self._clock.extent()
+        turn = -v / c if c else first
+        ways = [s * (v + 0.5 * c * s) for s in (first, last, min(max(turn, first), last))]
+        return p + min(ways), p + max(ways)
 
     def at(self, t: float) -> JointSetpoint:
         """The setpoint `t` seconds after the start of the stop."""
-        (s, s_rate, _), (u, u_rate, _) = self._along.at(t), self._bend.at(t)
+        s, rate, _ = self._clock.at(t)
         jaw, jaw_v, _ = self._jaw.at(t)
-        positions = tuple([p + v * s + a * u for p, v, a in self._motions])
-        speeds = tuple([v * s_rate + a * u_rate for _, v, a in self._motions])
-        return JointSetpoint(positions, speeds, jaw, jaw_v)
+        speeds = tuple([(v + c * s) * rate for _, v, c in self._motions])
+        return JointSetpoint(self._at(s), speeds, jaw, jaw_v)
+
+    def _at(self, s: float) -> Joints:
+        return tuple([p + s * (v + 0.5 * c * s) for p, v, c in self._motions])
 
 
 SHARE = 0.5
-"""Part of an arm's acceleration and jerk that each half of a `CommonStop` may use."""
+"""Part of each joint's acceleration that braking the clock may use for its speed. Of its jerk,
+(v + c s) C + 3 c B with B the clock's braking and C its jerk, either term may use as much; s is at
+most 1 / 2B + B / C, which is why 4 c B and v + c / B stand below."""
+
+CLOCK_BRAKES, CLOCK_BUILDS_UP_S = 25.0, 0.02
+"""Per s: no clock stops in less than 40 ms, also that of an arm that hardly moves; and how soon
+it brakes at full, s."""
+
+LONGER = 2.0
+"""A clock that starts with a rate that changes may take this many times as long, and go as far."""
+
+TINY = 1e-9
+"""A speed that is none."""
 
 
-def _unit_stop(
-    start: tuple[float, float], parts: list[float], max_acceleration: Joints, max_jerk: Joints
+def _clock_stop(
+    motions: list[Motion], max_acceleration: Joints, max_jerk: Joints
+) -> tuple[JointStop, tuple[Motion, ...]]:
+    """The stop of a clock from rate 1, as fast as the joints allow; position, v and c of each.
+
+    Where the joints do not allow a clock whose rate changes from the beginning, such as at the very
+    start of a motion, all of the acceleration counts as bend.
+    """
+    flat = _braking_clock(motions, 0.0, max_acceleration, max_jerk)
+    rows = list(zip(motions, max_acceleration, strict=False))
+    squared = sum([(v / most) ** 2 for (_, v, _), most in rows])
+    along = sum([v * a / most**2 for (_, v, a), most in rows])
+    change = along / max(squared, TINY)
+    bent = [(p, v, a - change * v) for p, v, a in motions]
+    clock = _braking_clock(bent, change, max_acceleration, max_jerk)
+    is_short = clock.duration_s <= LONGER * flat.duration_s
+    is_near = max(map(abs, clock.extent())) <= LONGER * flat.end
+    if is_short and is_near and _is_smooth(clock, bent, max_jerk):
+        return clock, tuple(bent)
+    return flat, tuple(motions)
+
+
+def _braking_clock(
+    motions: list[Motion], change: float, max_acceleration: Joints, max_jerk: Joints
 ) -> JointStop:
-    """The stop of a factor that multiplies `parts`, joint by joint, within half of each limit."""
-    pairs = [
-        (SHARE * a / abs(part), SHARE * j / abs(part))
-        for part, a, j in zip(parts, max_acceleration, max_jerk, strict=False)
-        if part != 0.0
-    ]
-    if not pairs:
-        return JointStop(0.0, 0.0, 0.0, 1.0, 1.0)
-    accelerations, jerks = zip(*pairs, strict=True)
-    return JointStop(0.0, *start, min(accelerations), min(jerks))
+    """The stop from rate 1 that changes by `change` per s, for joints with speed and bend."""
+    brake = CLOCK_BRAKES
+    rows = list(zip(motions, max_acceleration, max_jerk, strict=False))
+    for (_, v, c), most, jerk in rows:
+        hardest = max(abs(v) / (SHARE * most), 4.0 * abs(c) / (SHARE * jerk))
+        brake = min(brake, 1.0 / max(hardest, TINY))
+    build_up = brake / CLOCK_BUILDS_UP_S
+    for (_, v, c), _, jerk in rows:
+        build_up = min(build_up, SHARE * jerk / max(abs(v) + abs(c) / brake, TINY))
+    return JointStop(0.0, 1.0, change, brake, build_up)
+
+
+def _is_smooth(clock: JointStop, motions: list[Motion], max_jerk: Joints) -> bool:
+    """Whether no joint's jerk, (v + c s) s''' + 3 c s' s'', can exceed its limit."""
+    states = [(v, a, jerk) for _, _, v, a, jerk in clock.phases]
+    change = max([abs(a) for _, a, _ in states])
+    jerk = max([abs(j) for _, _, j in states])
+    rate = max([abs(v) for v, _, _ in states])
+    way = max(map(abs, clock.extent()))
+    return all(
+        (abs(v) + abs(c) * way) * jerk + 3.0 * abs(c) * rate * change <= limit
+        for (_, v, c), limit in zip(motions, max_jerk, strict=False)
+    )
 
 
 def braking(v: float, a: float, max_acceleration: float, max_jerk: float) -> list[Piece]:

@@ -21,6 +21,8 @@ FILES = {
     "cells/bipegtransfer.toml": "bipegtransfer",
     "cells/bipegboard.toml": "bipegboard",
     "cells/matchboardpanel.toml": "matchboardpanel",
+    "iiwa14_straight.toml": "bodytrainer",
+    "cells/bodytrainer.toml": "bodytrainer",
 }
 """File: a cell that uses it."""
 NOT_OF_THE_GATE = re.compile(
@@ -29,6 +31,12 @@ NOT_OF_THE_GATE = re.compile(
     r"|^panel\.(door_(mass|friction|damping)|handle_(radius|from_door))"
 )
 """Numbers for the simulator, the pictures, the plan and other people's policies."""
+WITHOUT_EFFECT = {
+    "iiwa14_straight.toml": re.compile(
+        r"shaft_length|jaw_radius|^gate\.(position_margin|first_command|tracking)_m$"
+    )
+}
+"""A picture's; of a jaw that may touch all there is; of joints that slide, where none does."""
 NUMBER = re.compile(r"(?<![\w.\"])-?\d+(?:\.\d*)?(?:e-?\d+)?(?![\w.\"])")
 GOLDEN = gate_numbers.golden()
 
@@ -77,7 +85,8 @@ def outcome(relative: str, text: str, root, monkeypatch) -> str:
 @pytest.mark.parametrize("relative", FILES)
 def test_any_wrong_number_in_a_file_is_refused_or_seen(relative, tmp_path, monkeypatch):
     text = (ROBOTS / relative).read_text(encoding="utf-8")
-    places = list(numbers_of(text))
+    idle = WITHOUT_EFFECT.get(relative)
+    places = [found for found in numbers_of(text) if not (idle and idle.search(found[0]))]
     assert len(places) >= 8
     missed, refused = [], 0
     for name, start, end in places:
