@@ -50,6 +50,8 @@ class Network:
         return int(said)
 
 
+Open = Callable[[Network], Transport]
+
 LAST_DOMAIN = 232
 """The last whose ports exist."""
 
@@ -71,38 +73,39 @@ def open_transport(name: str, network: Network | None = None) -> Transport:
         choice = choose()
         LOG.info("CRTK over %s: %s", choice.name, choice.reason)
         name = choice.name
-    if name not in OPENERS:
-        raise DriverError(f"there is no transport {name!r}; say auto, {', '.join(OPENERS)}")
+    if name not in MIDDLEWARE:
+        raise DriverError(f"there is no transport {name!r}; say auto, {', '.join(MIDDLEWARE)}")
     network = network or Network()
     demand_own(network.interface)
+    open_ = MIDDLEWARE[name]()
     with realtime.ahead():  # its threads bring what the control loop waits for
-        return OPENERS[name](network)
+        return open_(network)
 
 
-def _dds(network: Network) -> Transport:
+def _dds() -> Open:
     try:
         from viskill_deploy.drivers.crtk.dds import Dds  # noqa: PLC0415 - optional
     except ImportError as error:
         raise MissingExtraError("ros", "CRTK over plain DDS") from error
-    return Dds(network.domain_id(), network.interface)
+    return lambda network: Dds(network.domain_id(), network.interface)
 
 
-def _ros1(network: Network) -> Transport:
+def _ros1() -> Open:
     try:
         from viskill_deploy.drivers.crtk.ros1 import Ros1  # noqa: PLC0415 - optional
     except ImportError as error:
         raise MissingRosError(f"rospy cannot be imported ({error}); {ADVICE['ros1']}") from error
-    return Ros1(network.node, network.interface)
+    return lambda network: Ros1(network.node, network.interface)
 
 
-def _ros2(network: Network) -> Transport:
+def _ros2() -> Open:
     try:
         from viskill_deploy.drivers.crtk.ros2 import Ros2  # noqa: PLC0415 - optional
     except ImportError as error:
         raise MissingRosError(
             f"rclpy or crtk_msgs cannot be imported ({error}); {ADVICE['ros2']}"
         ) from error
-    return Ros2(network.node, network.domain_id(), network.interface)
+    return lambda network: Ros2(network.node, network.domain_id(), network.interface)
 
 
-OPENERS: dict[str, Callable[[Network], Transport]] = {"ros1": _ros1, "ros2": _ros2, "dds": _dds}
+MIDDLEWARE: dict[str, Callable[[], Open]] = {"ros1": _ros1, "ros2": _ros2, "dds": _dds}
