@@ -23,13 +23,14 @@ from viskill_deploy.core.errors import (
     ViskillError,
 )
 from viskill_deploy.drivers.base import Driver
+from viskill_deploy.drivers.crtk.opening import Network
 from viskill_deploy.observe.preflight_table import print_preflight, summary
 from viskill_deploy.observe.recording import Recorder
 from viskill_deploy.runtime.dry_run import LAYOUTS
 from viskill_deploy.runtime.execution import FIRST_SPEED, ExecuteOptions, execute, look_before
-from viskill_deploy.runtime.poses import FILED, FiledPoses, Things
+from viskill_deploy.runtime.poses import PoseLimits, Things
 from viskill_deploy.runtime.preflight import Prepared, Sources, prepare
-from viskill_deploy.runtime.robots import RobotOptions, connected
+from viskill_deploy.runtime.robots import RobotName, RobotOptions, connected, things_of
 
 EXAMPLE = (
     "Example: viskill execute policies/bipegtransfer-viskill --calibration calibration/lab.json "
@@ -45,6 +46,18 @@ class RobotChoice(enum.Enum):
 
     LOOPBACK = "loopback"
     CAN = "can"
+    CRTK = "crtk"
+
+    value: RobotName
+
+
+class TransportChoice(enum.Enum):
+    """What carries CRTK."""
+
+    AUTO = "auto"
+    ROS1 = "ros1"
+    ROS2 = "ros2"
+    DDS = "dds"
 
 
 class ModeName(enum.Enum):
@@ -69,6 +82,25 @@ def command(
     robot: Robot = "",
     calibration: Calibration = None,
     scene: SceneFile = None,
+    pose_topic: Annotated[
+        str,
+        typer.Option(
+            help="Topics of a tracker, PoseStamped in the task frame, such as "
+            "/scene/{object}/measured_cp; with --scene for what is to be moved where."
+        ),
+    ] = "",
+    pose_age: Annotated[
+        float, typer.Option(min=0.02, max=2.0, help="A pose older than this holds the arms, s.")
+    ] = 0.5,
+    transport: Annotated[
+        TransportChoice, typer.Option(help="What carries CRTK and the tracker's poses.")
+    ] = TransportChoice.AUTO,
+    domain: Annotated[
+        int | None, typer.Option(help="ROS 2 domain; by default ROS_DOMAIN_ID, or 0.")
+    ] = None,
+    interface: Annotated[
+        str, typer.Option(help="Address of this machine on the robot's network, if it needs one.")
+    ] = "",
     mode: Annotated[
         ModeName, typer.Option(help="Plan first and stream, or ask the policy at every step.")
     ] = ModeName.PLAN,
@@ -136,19 +168,23 @@ def command(
         )
     prepared = prepare(Sources(bundle, robot, calibration, scene, wall_time()))
     console = Console(stderr=json_)
-    chosen = RobotOptions(driver.value, realtime, seed=seed, inputs=inputs)
-    connection = connected(prepared.cell, chosen)
+    network = Network(domain, interface)
+    chosen = RobotOptions(
+        driver.value, realtime, seed=seed, inputs=inputs, transport=transport.value, network=network
+    )
+    found = connected(prepared.cell, chosen)
     try:
-        _put_things(connection, prepared, seed)
-        things = _things(prepared)
-        patience_s = 0.05 if connection.capabilities.stepped else 0.0
+        _put_things(found.driver, prepared, seed)
+        names = [arm.name for arm in prepared.cell.arms]
+        limits = PoseLimits(age_s=pose_age)
+        things = things_of(found, chosen, prepared.scene, pose_topic, limits, names)
+        patience_s = 0.05 if found.driver.capabilities.stepped else 0.0
         terminal = Terminal(console, patience_s)
-        _agree(prepared, options, connection, things, terminal, console, yes)
+        _agree(prepared, options, found.driver, things, terminal, console, yes)
         folder = new_folder(output, prepared.name)
-    except BaseException:
-        connection.close()
-        raise
-    figures, failure = _run(prepared, options, connection, things, terminal, folder)
+        figures, failure = _run(prepared, options, found.driver, things, terminal, folder)
+    finally:
+        found.close()
     report = written_report(prepared.cell, figures, folder, video, console)
     show(figures, folder, report, json_, console)
     _judge(figures, failure, report)
@@ -170,14 +206,6 @@ def _put_things(driver: Driver, prepared: Prepared, seed: int) -> None:
         rng = np.random.default_rng([LAYOUTS, seed, 0])
         task, seen = prepared.task, prepared.scene
         driver.reset(seen.scene if seen else task.sample_layout(rng, task.distributions[0]))
-
-
-def _things(prepared: Prepared) -> Things | None:
-    """Who knows where the things are; None for the driver."""
-    if prepared.scene is None:
-        return None
-    names = [arm.name for arm in prepared.cell.arms]
-    return Things(prepared.scene.scene, FiledPoses(prepared.scene), FILED, names)
 
 
 def _agree(
@@ -233,17 +261,13 @@ def _run(
     folder: Path,
 ) -> tuple[dict[str, Any], ViskillError | None]:
     """The run's figures, and what ended it early; both are kept when the recorder fails."""
-    try:
-        recorder = Recorder(folder / "recording", prepared.cell, driver.period_s)
-    except BaseException:
-        driver.close()
-        raise
+    recorder = Recorder(folder / "recording", prepared.cell, driver.period_s)
     lost: ViskillError | None = None
     try:
         recorder.wait_until_open()
         outcome = execute(prepared, options, driver, recorder, terminal, things)
     finally:
-        driver.close()
+        driver.close()  # the arms before the record
         try:
             recorder.close()
         except RecordingError as error:

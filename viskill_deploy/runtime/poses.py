@@ -202,7 +202,7 @@ class Things:
         if not now - thing.seen_s <= limit:
             raise DriverError(
                 f"{thing.name} was not seen for {now - thing.seen_s:.2f} s (limit {limit:g} s); "
-                "look at the tracker, and whether something hides the thing"
+                "look at the tracker and its clock, and whether something hides the thing"
             )
 
 

@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal
 
+from viskill_deploy.core.clock import MonotonicClock
 from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.errors import DataFileError
+from viskill_deploy.core.scene_files import SeenScene
 from viskill_deploy.drivers.base import Driver
+from viskill_deploy.drivers.crtk.opening import Network, open_transport
+from viskill_deploy.drivers.crtk.transport import Transport
 from viskill_deploy.runtime.driving import simulated_driver, with_inputs
+from viskill_deploy.runtime.poses import FILED, FiledPoses, PoseLimits, Things, sigma_of
+from viskill_deploy.runtime.topic_poses import TopicPoses
 from viskill_deploy.sim.world import WorldOptions
 
-RobotName = Literal["loopback", "can"]
+RobotName = Literal["loopback", "can", "crtk"]
+
+FIND_S, LOOK_S = 5.0, 0.02
+"""Discovery over ROS 2 takes up to a few seconds."""
+
+NAME = "{object}"
+"""Stands for the name of a thing in a template of topics."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +38,8 @@ class RobotOptions:
         can: name of the CAN file; "" for the cell's.
         seed: of the simulated cell.
         inputs: node whose consent and emergency stop count, such as "can:pedal".
+        transport: what carries CRTK.
+        network: where the robot of CRTK, or the tracker, is.
     """
 
     name: RobotName = "loopback"
@@ -30,23 +47,114 @@ class RobotOptions:
     can: str = ""
     seed: int = 0
     inputs: str = ""
+    transport: str = "auto"
+    network: Network = field(default_factory=Network)
 
 
-def connected(cell: CellDescription, options: RobotOptions) -> Driver:
-    """A connected driver, with the inputs that were asked for; nothing was sent to the arms.
+@dataclass
+class Robot:
+    """A connected robot.
+
+    Attributes:
+        driver: the driver, with the inputs that were asked for.
+        node: its node on the network of topics; None where the driver has none.
+        is_lent: the driver closes that node.
+    """
+
+    driver: Driver
+    node: Transport | None = None
+    is_lent: bool = False
+
+    def close(self) -> None:
+        """Holds, disables and closes everything; may be called twice."""
+        self.driver.close()
+        if self.node is not None and not self.is_lent:
+            self.node.close()
+
+
+def connected(cell: CellDescription, options: RobotOptions) -> Robot:
+    """A connected robot; nothing was sent to its arms.
 
     Raises:
         DriverError: it cannot be connected.
         DataFileError: a file of it is wrong.
         MissingExtraError: it needs a package that is not installed.
     """
-    return with_inputs(_connected(cell, options), options.inputs)
+    robot = _connected(cell, options)
+    robot.driver = with_inputs(robot.driver, options.inputs)
+    return robot
 
 
-def _connected(cell: CellDescription, options: RobotOptions) -> Driver:
+def _connected(cell: CellDescription, options: RobotOptions) -> Robot:
     if options.name == "can":
         from viskill_deploy.drivers.can import driver as can  # noqa: PLC0415 - optional
         from viskill_deploy.drivers.can.config import load_can  # noqa: PLC0415 - optional
 
-        return can.connect(cell, load_can(options.can or cell.name, cell))
-    return simulated_driver("loopback", cell, WorldOptions(), options.seed, options.real_time)
+        return Robot(can.connect(cell, load_can(options.can or cell.name, cell)))
+    if options.name == "crtk":
+        return _over_crtk(cell, options)
+    world, seed = WorldOptions(), options.seed
+    return Robot(simulated_driver("loopback", cell, world, seed, options.real_time))
+
+
+def _over_crtk(cell: CellDescription, options: RobotOptions) -> Robot:
+    from viskill_deploy.drivers.crtk.driver import CrtkDriver, CrtkOptions  # noqa: PLC0415
+    from viskill_deploy.drivers.crtk.watchdog import start_watch  # noqa: PLC0415
+
+    node = open_transport(options.transport, options.network)
+    names = [arm.name for arm in cell.arms]
+    watch = partial(start_watch, names, node.name, options.network)
+    driver = CrtkDriver(cell, node, CrtkOptions(), watch)
+    driver.connect()
+    return Robot(driver, node, is_lent=True)
+
+
+def things_of(
+    robot: Robot,
+    options: RobotOptions,
+    seen: SeenScene | None,
+    topic: str,
+    limits: PoseLimits,
+    arms: Sequence[str],
+) -> Things | None:
+    """Who knows where the things are: a tracker, the scene file alone, or (None) the driver.
+
+    Args:
+        robot: connected; opens a node of its own for a tracker where it has none.
+        options: how it was connected.
+        seen: the scene file, if there is one: which things there are and how well they are known.
+        topic: template of the tracker's topics, such as "/scene/{object}/measured_cp"; "" for none.
+        limits: what a sighting of the tracker is good for.
+        arms: names of the arms.
+
+    Raises:
+        DataFileError: a tracker without a scene file, or a topic without a place for the name.
+        DriverError, MissingExtraError: there is no way to its topics.
+    """
+    if not topic and seen is None:
+        return None
+    if not topic and seen is not None:
+        return Things(seen.scene, FiledPoses(seen), FILED, arms)
+    if seen is None or NAME not in topic:
+        raise DataFileError(
+            "--pose-topic",
+            "",
+            f"{topic!r} needs {NAME} where the name of a thing stands, and a scene file that says "
+            "which things there are and which to move where: name it with --scene",
+        )
+    if robot.node is None:
+        robot.node = open_transport(options.transport, options.network)
+    names = [thing.name for thing in seen.scene.objects]
+    topics = {name: topic.replace(NAME, name) for name in names}
+    sigma_m = {name: sigma_of(seen, name) for name in names}
+    poses = TopicPoses(robot.node, topics, sigma_m)
+    _await(poses, names)
+    return Things(seen.scene, poses, limits, arms)
+
+
+def _await(poses: TopicPoses, names: Sequence[str]) -> None:
+    """Gives a tracker the time that it takes to be found."""
+    clock = MonotonicClock()
+    deadline = clock.now() + FIND_S
+    while clock.now() < deadline and any(poses.newest(name) is None for name in names):
+        clock.sleep_until(clock.now() + LOOK_S)

@@ -78,7 +78,7 @@ def test_a_thing_that_nobody_holds_is_nowhere_past_its_age() -> None:
     known.follow(1.5, TIPS, FREE)
     with pytest.raises(DriverError, match=r"block was not seen for 0\.51 s \(limit 0\.5 s\)"):
         known.follow(1.51, TIPS, FREE)
-    with pytest.raises(DriverError, match="look at the tracker"):
+    with pytest.raises(DriverError, match="look at the tracker and its clock"):
         known.scene(1.51)
 
 
