@@ -17,12 +17,15 @@ from silent_recorder import SilentRecorder
 from viskill_deploy.core.errors import DriverError, Interrupted
 from viskill_deploy.core.scene_files import read_scene
 from viskill_deploy.core.types import JointSetpoint
+from viskill_deploy.drivers.crtk.server_options import ServerOptions
+from viskill_deploy.drivers.crtk.simulated import SteppedCrtk
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.motion.waypoints import start_waypoint
 from viskill_deploy.runtime.execution import ExecuteOptions, execute, look_before
 from viskill_deploy.runtime.figures import Outcome
 from viskill_deploy.runtime.poses import FILED, FiledPoses, PoseLimits, Sighting, Things
 from viskill_deploy.runtime.preflight import Prepared, prepare
+from viskill_deploy.sim.world import WorldOptions
 
 ROOT = Path(__file__).resolve().parents[2]
 BUNDLE = ROOT / "policies/bipegtransfer-viskill"
@@ -306,3 +309,19 @@ def test_the_preflight_looks_at_files_robot_scene_and_plan_and_sends_nothing(
     )
     assert driver.sent == []
     assert driver.calls == []
+
+
+def test_arms_that_speak_crtk_are_homed_fetched_run_and_switched_off(prepared: Prepared) -> None:
+    driver = SteppedCrtk(prepared.cell, WorldOptions(0.01), server=ServerOptions(homing="dvrk"))
+    driver.connect()
+    driver.reset(prepared.task.sample_layout(np.random.default_rng(5), "reference"))
+    before = look_before(prepared, ExecuteOptions(speed=1.0), driver)
+    assert before.error is None
+    recorder, person = Kept(), Person()
+    outcome = execute(prepared, ExecuteOptions(speed=1.0), driver, recorder, person)
+    assert outcome.failure is None
+    (result,) = outcome.figures["episode_results"]
+    assert result["refused"] == result["stopped_by"] == ""
+    assert result["success"]
+    assert recorder.passed[0][0].jp[2] == pytest.approx(DEEP, abs=2e-3), "where a dVRK homes"
+    assert is_at_start(prepared, recorder.passed[-1])

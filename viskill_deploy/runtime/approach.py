@@ -21,7 +21,9 @@ from viskill_deploy.motion.resolve import densified, resolve, waypoint_at
 from viskill_deploy.runtime.air import start_axes
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.moves import axes_of, stream, way_to_start
+from viskill_deploy.runtime.operator import Operator
 from viskill_deploy.runtime.planning import Plan
+from viskill_deploy.runtime.resuming import resumed
 from viskill_deploy.runtime.session import Session
 
 THERE = 1e-3
@@ -35,10 +37,15 @@ STEP_M = 0.008
 INSERTION = 2
 
 
-def approach(session: Session, result: EpisodeResult) -> bool:
+def approach(session: Session, result: EpisodeResult, operator: Operator | None = None) -> bool:
     """Takes the arms to their start pose, jaws closed, with the operator's consent.
 
     The arms are ready and not armed, and so they are afterwards.
+
+    Args:
+        session: the arms.
+        result: told how it went.
+        operator: who may resume after a HOLD; None for nobody.
 
     Returns:
         False when the gate stepped in; `result` says for what.
@@ -51,9 +58,11 @@ def approach(session: Session, result: EpisodeResult) -> bool:
     if plan is None:
         return True
     session.begin()
-    if not stream(session, plan):
+    while plan is not None and not stream(session, plan):
         session.come_to_rest(result)
-        return False
+        plan = resumed(session, operator, result, lambda: approach_plan(session, session.read()))
+        if result.stopped_by:
+            return False
     session.finish()
     result.stopped_by = session.cause
     return not session.cause

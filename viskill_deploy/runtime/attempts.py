@@ -12,8 +12,8 @@ from viskill_deploy.runtime.air import over, start_axes
 from viskill_deploy.runtime.boundaries import Job, held_now, leave, way_back
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.moves import axes_of, go_to_start_pose
-from viskill_deploy.runtime.operator import asked_while_held
 from viskill_deploy.runtime.planning import Plan, make_plan
+from viskill_deploy.runtime.resuming import resumed
 from viskill_deploy.runtime.session import Session
 
 
@@ -109,41 +109,17 @@ class Attempts:
     def resumed(self, result: EpisodeResult) -> Plan | None:
         """After a HOLD: planned anew from where the arms are held, once the operator wants it.
 
-        The gate goes on holding the arms until it has seen nothing wrong for a while.
-
         Returns:
-            None where nothing was held, where it was more than a HOLD, where the operator does not
-            want it, or where there is no plan; `result` says why then.
+            None where nothing was held, and as `resuming.resumed` says.
         """
-        operator, session = self._job.operator, self._session
-        if not result.stopped_by or operator is None or not result.skills:
+        if not result.stopped_by or not result.skills:
             return None
-        if session.is_stop_wanted:
-            return None
-        while session.is_held:
-            question = f"held ({result.stopped_by}: {result.reason or 'by the gate'}); resume?"
-            wish = asked_while_held(session, operator, f"{question} [Enter: yes, n: no]")
-            if wish is None or wish.strip():
-                break
-            try:
-                plan = self._replanned(result)
-            except (ViskillError, ValueError) as error:
-                result.reason = f"not resumed: {error}"
-                return None
-            against = session.resume()
-            if not against:
-                result.resumed.append(result.stopped_by)
-                result.stopped_by = result.reason = ""
-                return plan
-            rules = ", ".join(verdict.rule for verdict in against)
-            operator.tell(f"the gate does not let go yet ({rules}); put that right")
-        operator.tell("not resumed: the run ends here")
-        return None
+        operator = self._job.operator
+        return resumed(self._session, operator, result, lambda: self._replanned(result))
 
     def _replanned(self, result: EpisodeResult) -> Plan:
         """From the latest skill that can begin with what the jaws hold now."""
         session, skills = self._session, self._job.task.skills
-        session.driver.watch.release()  # the arms rest; nothing is sent while the plan is made
         held, names = held_now(session), [skill.name for skill in skills]
         first = way_back(skills, names.index(result.skills[-1].start.skill), held)
         if not first:

@@ -176,7 +176,7 @@ def _run(session: Session, prepared: Prepared, options: ExecuteOptions, operator
     began, result = session.driver.clock.now(), EpisodeResult(0)
     try:
         session.make_ready()
-        if approach(session, result):
+        if approach(session, result, operator):
             rng = np.random.default_rng([LAYOUTS, options.seed])
             run = planned if options.mode == "plan" else closed_loop
             result = run(session, _job(prepared, options, operator), rng, 0)
