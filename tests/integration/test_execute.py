@@ -147,6 +147,7 @@ def test_a_run_goes_on_after_consent_was_lost_and_given_back_and_does_its_task(
     assert run.outcome.failure is None
     assert run.result["resumed"] == ["S22"]
     assert run.result["success"]
+    assert run.outcome.figures["judged"]
     assert run.outcome.figures["interventions"] == 0
     assert len(run.person.asked) == 1
     assert "held (S22" in run.person.asked[0]
@@ -190,6 +191,7 @@ def test_a_rehearsal_judges_every_setpoint_and_sends_nothing(
     assert run.outcome.figures["setpoints"] > 2000
     assert driver.sent == []
     assert driver.calls == ["close"]
+    assert run.outcome.figures["judged"] is False
     assert driver.readings > 1000
     untouched = robot(prepared).world
     untouched.step([JointSetpoint(tuple(r[:6]), (0.0,) * 6, r[6], 0.0) for r in untouched.home])

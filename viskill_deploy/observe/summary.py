@@ -101,7 +101,8 @@ class MarginRow:
 def facts(result: Result) -> list[Fact]:
     """The figures of the run, most wanted first."""
     rows: list[Fact | None] = [
-        _fact(result, "success_rate", "Success", _success_text(result), lambda v: v >= 0.9),
+        Fact("Stage", str(result["stage"]), None) if result.get("stage") else None,
+        _success(result),
         _fact(result, "interventions", "Interventions", "{:d}", lambda v: v == 0),
         _fact(result, "realtime_factor", "Real-time factor", "{:.1f}×"),
         _fact(result, "rcm_error_max_m", "Remote centre", "{:.3f} mm", scale=1e3),
@@ -113,6 +114,13 @@ def facts(result: Result) -> list[Fact]:
         _fact(result, "overruns", "Overruns", "{:d}") if result.get("real_time") else None,
     ]
     return [row for row in rows if row is not None]
+
+
+def _success(result: Result) -> Fact | None:
+    """Whether the task was done; of a run on real arms, or of one without things, nobody knows."""
+    if result.get("judged") is False:
+        return Fact("Success", "not judged: only a simulator can tell", None)
+    return _fact(result, "success_rate", "Success", _success_text(result), lambda v: v >= 0.9)
 
 
 def _success_text(result: Result) -> str:

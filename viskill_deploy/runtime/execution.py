@@ -211,6 +211,7 @@ def _how(prepared: Prepared, options: ExecuteOptions, driver: Driver) -> dict[st
         "rate_hz": round(1.0 / driver.period_s, 6),
         "real_time": not driver.capabilities.stepped,
         "simulated": driver.capabilities.simulated,
+        "judged": driver.capabilities.simulated and options.has_things,
         "speed": options.speed,
         "stage": options.stage,
         "lift_m": options.lift_m,
