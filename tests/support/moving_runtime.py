@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from viskill_deploy.core.description import CellDescription, load_cell
-from viskill_deploy.drivers.crtk.simulated import ServedCrtk
+from viskill_deploy.drivers.crtk.simulated import PrivateCrtk
 from viskill_deploy.drivers.loopback_served import ServedLoopback
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.motion.waypoints import ActionSpec, apply_action
@@ -31,10 +31,10 @@ STEPS = 3
 """Steps in one direction before the arms turn."""
 
 
-def served(name: str, cell: CellDescription) -> tuple[ServedLoopback | ServedCrtk, ServedLoopback]:
+def served(name: str, cell: CellDescription) -> tuple[ServedLoopback | PrivateCrtk, ServedLoopback]:
     """A driver, "loopback" or "crtk", and the process with its arms."""
     if name == "crtk":
-        driver = ServedCrtk(cell)
+        driver = PrivateCrtk(cell)
         return driver, driver.server
     server = ServedLoopback(cell)
     return server, server
@@ -63,7 +63,7 @@ def main(folder: Path, name: str) -> int:
                     socket=str(server.path),
                     server=server.process.pid if server.process else 0,
                     watchdog=driver.watch.process.pid,
-                    domain=driver.network.domain if isinstance(driver, ServedCrtk) else -1,
+                    domain=driver.network.domain if isinstance(driver, PrivateCrtk) else -1,
                     recorder=recorder._process.pid,
                 )
             while session.cycle():

@@ -13,7 +13,7 @@ from viskill_deploy.core.types import FloatArray, JointSetpoint, Scene
 from viskill_deploy.drivers.base import Capabilities, Driver
 from viskill_deploy.drivers.crtk.driver import CrtkDriver, CrtkOptions
 from viskill_deploy.drivers.crtk.inproc import Exchange, Inproc
-from viskill_deploy.drivers.crtk.opening import open_transport
+from viskill_deploy.drivers.crtk.opening import Network, open_transport
 from viskill_deploy.drivers.crtk.private_network import PrivateNetwork
 from viskill_deploy.drivers.crtk.simulated_cell import CrtkCell, ServerOptions
 from viskill_deploy.drivers.crtk.transport import Transport
@@ -36,6 +36,8 @@ ARRIVAL_S: Final = 1.0
 
 class SimulatedCrtk(WithSide, CrtkDriver):
     """The CRTK driver of a simulated cell; everything but `side` goes over the transport."""
+
+    capabilities = Capabilities(simulated=True, stepped=False, resettable=True, sees_scene=True)
 
     def __init__(
         self,
@@ -116,22 +118,62 @@ class SteppedCrtk(SimulatedCrtk):
         self.front.cell.restore(physics, setpoints)
 
 
+def served_arms(
+    cell: CellDescription,
+    transport: str,
+    network: Network,
+    options: WorldOptions | None = None,
+    seed: int = 0,
+    server: ServerOptions | None = None,
+) -> ServedLoopback:
+    """Simulated dVRK arms in a process of their own; `connect` starts it.
+
+    Args:
+        cell: the cell; the process loads its file.
+        transport: name of the transport that they speak.
+        network: where.
+        options: period, noise, delay and what else is not perfect.
+        seed: of noise, offsets and losses.
+        server: how the simulated dVRK behaves.
+    """
+    arms = asdict(server or ServerOptions(homing="stay"))
+    arguments = ["--transport", transport, "--network", json.dumps(asdict(network))]
+    arguments += ["--crtk", json.dumps(arms)]
+    return ServedLoopback(cell, options, seed, SERVER, arguments, is_watched=False)
+
+
 class ServedCrtk(SimulatedCrtk):
-    """dVRK arms in a process of their own, in real time, on a network of their own.
+    """dVRK arms in a process of their own, in real time.
+
+    Args:
+        cell: the cell.
+        transport: name of the transport between the driver and the arms.
+        network: where they are.
+        side: the arms' process.
+        period_s: control period.
+    """
+
+    def __init__(
+        self, cell: CellDescription, transport: str, network: Network, side: Side, period_s: float
+    ) -> None:
+        names = [arm.name for arm in cell.arms]
+        start = partial(start_watch, names, transport, network)
+        super().__init__(cell, open_transport(transport, network), period_s, side, start)
+
+
+class PrivateCrtk(ServedCrtk):
+    """The same with a process and a network that nobody else knows.
 
     Args:
         cell: the cell.
         transport: name of the transport between the driver and the arms.
         options: period, noise, delay and what else is not perfect.
         seed: of noise, offsets and losses.
-        server: how the simulated dVRK behaves.
 
     Attributes:
         network: where the arms are, for whoever wants to listen too.
         server: their process and its private socket.
     """
-
-    capabilities = Capabilities(simulated=True, stepped=False, resettable=True, sees_scene=True)
 
     def __init__(
         self,
@@ -139,19 +181,12 @@ class ServedCrtk(SimulatedCrtk):
         transport: str = "dds",
         options: WorldOptions | None = None,
         seed: int = 0,
-        server: ServerOptions | None = None,
     ) -> None:
         options = options or WorldOptions(period_s=PERIOD_S)
-        self._private = PrivateNetwork()
-        self.network = network = self._private.network
-        arms = asdict(server or ServerOptions(homing="stay"))
-        arguments = ["--transport", transport, "--network", json.dumps(asdict(network))]
-        arguments += ["--crtk", json.dumps(arms)]
-        self.server = ServedLoopback(cell, options, seed, SERVER, arguments, is_watched=False)
-        names = [arm.name for arm in cell.arms]
-        start = partial(start_watch, names, transport, network)
-        node = open_transport(transport, network)
-        super().__init__(cell, node, options.period_s, self.server, start)
+        self._private = PrivateNetwork(transport)
+        self.network = self._private.network
+        self.server = served_arms(cell, transport, self.network, options, seed)
+        super().__init__(cell, transport, self.network, self.server, options.period_s)
 
     def connect(self) -> None:
         """Starts the process with the arms, and connects."""
@@ -178,6 +213,6 @@ def connect_served(
     transport: str = "dds",
 ) -> Driver:
     """Connected dVRK arms in a process of their own."""
-    driver = ServedCrtk(cell, transport, options, seed)
+    driver = PrivateCrtk(cell, transport, options, seed)
     driver.connect()
     return driver
