@@ -28,6 +28,7 @@ from viskill_deploy.cli import (
     execute,
     export,
     faults,
+    guard,
     inspect,
     reproduce,
     serve,
@@ -48,6 +49,7 @@ app = typer.Typer(
 )
 app.command("dry-run", epilog=dry_run.EXAMPLE)(dry_run.command)
 app.command("execute", epilog=execute.EXAMPLE)(execute.command)
+app.command("guard", epilog=guard.EXAMPLE)(guard.command)
 app.command("faults", epilog=faults.EXAMPLE)(faults.command)
 app.command("check", epilog=check.EXAMPLE)(check.command)
 app.command("inspect", epilog=inspect.EXAMPLE)(inspect.command)

@@ -117,6 +117,10 @@ class Guard:
         finally:
             self.close()
 
+    def ask_to_stop(self) -> None:
+        """A person wants the end: acts at the next look."""
+        self.is_stop_wanted = True
+
     def turn(self, now: float) -> float:
         """Does what is due; returns when to look again at the latest, driver's clock."""
         self._obey(now)

@@ -6,14 +6,25 @@ import contextlib
 import signal
 import threading
 from collections.abc import Iterator
+from typing import Protocol
 
 from viskill_deploy.core.errors import Interrupted, SafetyStop
 from viskill_deploy.core.types import Mode
 from viskill_deploy.runtime.session import Session
 
 
+class Stoppable(Protocol):
+    """A run that a person may end."""
+
+    is_stop_wanted: bool
+
+    def ask_to_stop(self) -> None:
+        """Acts at the end of the present cycle."""
+        ...
+
+
 @contextlib.contextmanager
-def interruptible(session: Session) -> Iterator[None]:
+def interruptible(session: Stoppable) -> Iterator[None]:
     """Ctrl-C and SIGTERM ask for a stop at the end of the cycle; a second one ends it at once."""
 
     def ask(signum: int, frame: object) -> None:

@@ -1,0 +1,112 @@
+"""`viskill guard`: the gate between other people's CRTK programs and a robot."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from viskill_deploy.cli.run_folder import new_folder
+from viskill_deploy.cli.serve import TransportChoice
+from viskill_deploy.core import realtime
+from viskill_deploy.core.description import CellDescription, load_cell
+from viskill_deploy.core.types import Mode, Verdict
+from viskill_deploy.drivers.crtk.driver import CrtkDriver, CrtkOptions
+from viskill_deploy.drivers.crtk.opening import Network, open_transport
+from viskill_deploy.drivers.crtk.robot import connect
+from viskill_deploy.drivers.crtk.transport import Transport
+from viskill_deploy.observe.labels import action_label, rule_label
+from viskill_deploy.observe.recording import Recorder
+from viskill_deploy.runtime.guard import Guard, GuardCounts
+from viskill_deploy.runtime.interrupting import interruptible
+
+EXAMPLE = "Example: viskill guard --cell bipegtransfer --transport ros2 --prefix guarded"
+
+
+def command(
+    cell: Annotated[
+        str, typer.Option(help="Cell of the robot: a name in robots/cells, or a TOML file's path.")
+    ] = "bipegtransfer",
+    transport: Annotated[
+        TransportChoice, typer.Option(help="What the robot speaks.")
+    ] = TransportChoice.AUTO,
+    domain: Annotated[
+        int | None, typer.Option(min=0, max=232, help="The robot's ROS domain.")
+    ] = None,
+    interface: Annotated[
+        str, typer.Option(help="Address of this machine on the robot's network.")
+    ] = "",
+    prefix: Annotated[
+        str, typer.Option(help='Clients find the arms under it, such as "/guarded/PSM1".')
+    ] = "guarded",
+    rate: Annotated[
+        float, typer.Option(min=100, max=1000, help="Setpoints a second that clients send, Hz.")
+    ] = 200.0,
+    output: Annotated[Path | None, typer.Option(help="Folder for the recording.")] = None,
+) -> None:
+    """Let other CRTK programs move a robot through the gate, until Ctrl-C.
+
+    They send servo_jp (or servo_cp) and jaw/servo_jp to arms under the prefix. What the gate passes
+    goes on bit for bit; all else ends in its own stop of all arms. Nothing moves before the
+    operator presses the pedal; pressed anew, it lets a held run go on. What has ended a run is
+    cleared here, by typing "reset".
+    """
+    if not prefix.strip("/"):
+        raise typer.BadParameter("clients need a name that the robot does not have; give --prefix")
+    described = load_cell(cell)
+    network = Network(domain, interface, "viskill_guard")
+    driver = connect(described, transport.value, network, CrtkOptions(period_s=1.0 / rate))
+    with contextlib.ExitStack() as opened:
+        opened.callback(driver.close)
+        client = open_transport(transport.value, Network(domain, interface, "viskill_guarded"))
+        opened.callback(client.close)
+        folder = new_folder(output, "guard")
+        counts = _guarded(described, driver, client, prefix.strip("/"), folder)
+    print(
+        f"passed: {counts.passed} cycles; stopped: {counts.stopped} times; lost on the way and "
+        f"judged: {counts.filled}\nrecording: {folder / 'recording'}"
+    )
+
+
+def _guarded(
+    cell: CellDescription, driver: CrtkDriver, client: Transport, prefix: str, folder: Path
+) -> GuardCounts:
+    """Guards until Ctrl-C."""
+    with Recorder(folder / "recording", cell, driver.period_s) as recorder:
+        recorder.wait_until_open()
+        guard = Guard(cell, driver, client, recorder, prefix, _tell, driver.recover)
+        _say_what_is_where(guard, prefix, folder)
+        threading.Thread(target=_hear_resets, args=(guard,), daemon=True).start()
+        realtime.prepare()
+        with interruptible(guard):
+            guard.run()
+    return guard.counts
+
+
+def _tell(verdicts: Sequence[Verdict], mode: Mode) -> None:
+    """One line for what has changed."""
+    said = [f"{rule_label(v.rule)}: {action_label(v.action)}" for v in verdicts]
+    print(f"{mode.value}{': ' * bool(said)}{'; '.join(dict.fromkeys(said))}", flush=True)
+
+
+def _say_what_is_where(guard: Guard, prefix: str, folder: Path) -> None:
+    arms = ", ".join(f"/{prefix}/{arm.name}" for arm in guard.arms)
+    print(
+        f"guarded arms: {arms}\n"
+        "clients send: servo_jp or servo_cp, jaw/servo_jp, state_command, hold\n"
+        'the operator: presses the pedal to agree; "reset" here clears what ended a run\n'
+        f"recording:    {folder / 'recording'}\nstop with Ctrl-C",
+        flush=True,
+    )
+
+
+def _hear_resets(guard: Guard) -> None:
+    """A person at this terminal has looked at the arms."""
+    for line in sys.stdin:
+        if line.strip() == "reset":
+            guard.is_reset_wanted = True
