@@ -37,7 +37,7 @@ from viskill_deploy.drivers.crtk.transport import Transport
 RATE_HZ, SWING_RAD, SWING_S = 200.0, 0.05, 4.0
 JOINTS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
 ARMS = ("PSM1", "PSM2")
-PATIENCE_S = 60.0
+PATIENCE_S = 180.0
 
 
 class Client:
@@ -141,7 +141,7 @@ def _ease(t: float) -> float:
 def running(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
     """A `viskill` command, ended by Ctrl-C."""
     command = [sys.executable, "-m", "viskill_deploy.cli.main", *arguments]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=sys.stderr)
     try:
         yield process
     finally:
