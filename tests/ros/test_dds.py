@@ -98,7 +98,7 @@ def test_a_domain_without_sockets_cannot_be_kept_to_this_machine() -> None:
 
 @pytest.mark.timeout(60)
 def test_one_type_may_be_on_many_topics() -> None:
-    """CycloneDDS finds no place for the 33rd of as many classes with one name, and goes on looking."""
+    """CycloneDDS finds no place for the 33rd of as many classes with one name, and looks on."""
     node = open_transport("dds", Network(DOMAIN, LOOPBACK))
     for index in range(40):
         node.publisher(f"/arm{index}/goal_reached", Bool)
