@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 from cyclonedds.idl import make_idl_struct, types
@@ -35,7 +34,6 @@ def _kind(field: Field) -> Any:
     return types.sequence[one] if field.is_sequence else one
 
 
-@cache
 def carrier(message: type[Any]) -> Any:
     """The struct of a message that holds its bytes, `data`, and nothing else.
 
@@ -45,6 +43,15 @@ def carrier(message: type[Any]) -> Any:
     One struct a message in the whole process: CycloneDDS knows types by their class, and with more
     than 32 classes of one name it looks for a place for the next one for ever.
     """
+    if message not in _CARRIERS:
+        _CARRIERS[message] = _made(message)
+    return _CARRIERS[message]
+
+
+_CARRIERS: dict[type[Any], Any] = {}
+
+
+def _made(message: type[Any]) -> Any:
     box = dds_type(message)
 
     def hold(self: Any, data: bytes) -> None:
