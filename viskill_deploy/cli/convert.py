@@ -13,9 +13,9 @@ from rich.table import Table
 
 from viskill_deploy.cli.names import FrameName, PointName
 from viskill_deploy.core.description import CellDescription, load_cell, rpy_matrix
-from viskill_deploy.core.errors import NoSolutionError
+from viskill_deploy.core.errors import KinematicsError
 from viskill_deploy.core.types import FloatArray
-from viskill_deploy.kinematics.arm import Arm
+from viskill_deploy.kinematics.straight import placed_arm
 from viskill_deploy.motion.frames import CONTROL_POINTS, FRAMES, Label, from_task, to_task
 from viskill_deploy.motion.resolve import base_poses
 
@@ -98,10 +98,10 @@ def _rpy(R: FloatArray) -> tuple[float, float, float]:
 
 def _joints(cell: CellDescription, index: int, tip: FloatArray) -> tuple[dict[str, float], str]:
     """The joints that bring the tip there, or why there are none."""
-    arm = Arm(cell.arms[index].arm)
+    arm = placed_arm(cell.arms[index])
     try:
-        q = arm.inverse(base_poses(cell, index, tip[None])[0], np.zeros(6))
-    except NoSolutionError as error:
+        q = arm.inverse(base_poses(cell, index, tip[None])[0], cell.arms[index].seed)
+    except KinematicsError as error:
         return {}, str(error)
     names = [joint.name for joint in cell.arms[index].arm.joints]
     return dict(zip(names, q.tolist(), strict=True)), ""

@@ -14,7 +14,7 @@ from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import MissingExtraError
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.motion.frames import Label
-from viskill_deploy.motion.resolve import resolve
+from viskill_deploy.motion.resolve import resolve, start_seeds
 from viskill_deploy.motion.trajectory import read_plan, written_of
 from viskill_deploy.motion.waypoints import start_waypoint
 from viskill_deploy.observe.trajectory_files import JointNames, write_joint_plan, write_written
@@ -91,7 +91,7 @@ def trajectory(
         write_written(output, written_of(cell, file.unpacked(), label))
         print(f"{len(file.waypoints)} waypoints, {label}: {output}")
         return
-    home = resolve(cell, [start_waypoint(cell)], [(0.0,) * 7] * len(cell.arms))[1]
+    home = resolve(cell, [start_waypoint(cell)], start_seeds(cell))[1]
     motion = plan_waypoints(cell, file.unpacked(), home, speed).motion
     table: FloatArray = np.ascontiguousarray(motion.table(1.0 / rate)[:, :, :2])
     arms = [
