@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from viskill_deploy.core import realtime
 from viskill_deploy.drivers.crtk.messages import (
     Header,
     JointState,
@@ -162,6 +163,7 @@ def main() -> None:
         running("serve", "crtk", "--homing", "stay", *way),
         running("guard", *way, "--output", f"{folder}/guard"),
     ):
+        realtime.prepare()  # a client that is late would be taken for a slow guard
         client = Client(open_transport(args.transport, Network(args.domain, LOOPBACK)))
         client.make_ready()
         client.stream(args.seconds)

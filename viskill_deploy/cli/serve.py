@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from viskill_deploy.cli import serve_can
+from viskill_deploy.core import realtime
 from viskill_deploy.core.clock import MonotonicClock
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.drivers.crtk.opening import LOOPBACK, Network, open_transport
@@ -106,6 +107,7 @@ def crtk(
     try:
         front = CrtkCell(LoopbackCell(world), node, options, Announcer())
         print(_told(front, node.name, options, interface), flush=True)
+        realtime.prepare()  # a robot's controller would not wait for other programs either
         run(front, MonotonicClock())
     except KeyboardInterrupt:
         print("stopped", flush=True)

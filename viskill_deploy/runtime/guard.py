@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import dist, hypot, isfinite
 from typing import Final
 
 from viskill_deploy.core.description import CellDescription
@@ -24,7 +25,7 @@ from viskill_deploy.core.types import (
     Verdict,
 )
 from viskill_deploy.drivers.base import ENABLED, PAUSED, Driver
-from viskill_deploy.drivers.crtk.offered_arm import Condition, OfferedArm
+from viskill_deploy.drivers.crtk.offered_arm import Asked, Condition, OfferedArm
 from viskill_deploy.drivers.crtk.transport import Transport
 from viskill_deploy.motion.links import CellLinks
 from viskill_deploy.runtime.record import Recorder
@@ -102,7 +103,8 @@ class Guard:
         self._last_s, self._told = driver.clock.now(), ""
         self._expected: frozenset[tuple[int, str]] = frozenset()
         self._halt = ""  # why the arms have to come to rest
-        self._is_armed = self._is_stopping = self._is_moving = self._at_rest = False
+        self._is_armed = self._is_stopping = self._at_rest = False
+        self._way = 0.0  # of all joints together in the last cycle
         self._had_consent = True  # only one that was seen to rise counts
         self._wants_on = self._wants_off = self.is_reset_wanted = self.is_stop_wanted = False
         self.counts = GuardCounts()
@@ -116,6 +118,10 @@ class Guard:
                 self._bell.clear()
         finally:
             self.close()
+
+    @property
+    def _is_moving(self) -> bool:
+        return self._way > STILL
 
     def ask_to_stop(self) -> None:
         """A person wants the end: acts at the next look."""
@@ -196,18 +202,30 @@ class Guard:
             return [Request(None, failure=str(error))]
 
     def _asked(self) -> list[Request]:
-        period, taken, missing = self.driver.period_s, [], 0
-        for arm, last in zip(self.arms, self._sent, strict=True):
-            setpoint, lost = arm.take(last, period)
-            taken.append(setpoint)
-            missing = max(missing, lost)
-        missing = missing if self._is_moving else 0  # a client may fall silent at rest
+        period = self.driver.period_s
+        asked = [arm.take(last, period) for arm, last in zip(self.arms, self._sent, strict=True)]
+        missing = self._missing(asked)
         if missing >= LOST:
             return [Request(None, failure=f"{missing} setpoints of the client were lost")]
-        pairs, n = list(zip(self._sent, taken, strict=True)), missing + 1
+        n = missing + 1
+        taken = [a.setpoint(last, n * period) for a, last in zip(asked, self._sent, strict=True)]
+        pairs = list(zip(self._sent, taken, strict=True))
         rows = [tuple(_between(a, b, k / n, n * period) for a, b in pairs) for k in range(1, n)]
         free = (True,) * len(self.arms)  # a jaw that opens is the client's wish
         return [Request(row, may_open_jaw=free) for row in (*rows, tuple(taken))]
+
+    def _missing(self, asked: list[Asked]) -> int:
+        """How many setpoints of a moving client were lost: its stamps and its way both say so.
+
+        The stamps of a client that wakes late have gaps as well, but it goes no farther for that.
+        """
+        period, before = self.driver.period_s, self._way
+        way = sum([a.way(last) for a, last in zip(asked, self._sent, strict=True)])
+        if not (before > STILL and isfinite(way)):
+            return 0
+        after = sum([hypot(*a.jv, *a.jaw_v) for a in asked]) * period or before
+        periods = round(2.0 * way / (before + after)) if isfinite(after) else 1
+        return max(min(max(a.lost for a in asked), periods - 1), 0)
 
     def _judge(self, state: CellState, request: Request, now: float, is_sent: bool = True) -> bool:
         """One cycle of the gate; whether the request passed."""
@@ -234,8 +252,10 @@ class Guard:
 
     def _note(self, decision: Decision) -> None:
         before, self._sent = self._sent, tuple(c.setpoint for c in decision.setpoints)
-        steps = zip(before, self._sent, strict=True)
-        self._is_moving = decision.passed and any(_differ(a, b) for a, b in steps)
+        ways = [
+            dist((*a.jp, a.jaw), (*b.jp, b.jaw)) for a, b in zip(before, self._sent, strict=True)
+        ]
+        self._way = sum(ways) if decision.passed else 0.0
         began = not decision.passed and not self._is_stopping
         counts = self.counts
         self.counts = replace(
@@ -294,7 +314,8 @@ class Guard:
                 JointSetpoint(a.setpoint_jp, rest, a.jaw_setpoint_jp, 0.0) for a in state.arms
             )
             self._is_armed, self._halt = True, ""
-            self._wants_on = self._is_stopping = self._is_moving = self._at_rest = False
+            self._wants_on = self._is_stopping = self._at_rest = False
+            self._way = 0.0
 
     def _go_on(self, state: CellState, now: float) -> None:
         """The operator has pressed the pedal anew: a held run goes on as soon as all is well."""
@@ -397,9 +418,3 @@ def _between(a: JointSetpoint, b: JointSetpoint, part: float, time_s: float) -> 
 
     jp = tuple(map(cubic, a.jp, b.jp, a.jv, b.jv))
     return JointSetpoint(jp, b.jv, cubic(a.jaw, b.jaw, a.jaw_v, b.jaw_v), b.jaw_v)
-
-
-def _differ(a: JointSetpoint, b: JointSetpoint) -> bool:
-    """Whether an arm was told to go elsewhere."""
-    pairs = zip((*a.jp, a.jaw), (*b.jp, b.jaw), strict=True)
-    return any(abs(x - y) > STILL for x, y in pairs)

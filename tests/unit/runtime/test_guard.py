@@ -281,8 +281,20 @@ def test_setpoints_lost_on_the_way_are_judged_by_what_lay_between(bench: Bench) 
             bench.stream("PSM1", *swing(start, k, 0.02))
         bench.step()
     assert bench.guard.counts.stopped == 0
-    assert bench.guard.counts.filled == sum(k % 17 in (3, 4) for k in range(1, 201))
-    assert len(bench.received["PSM1/servo_jp"]) == 200 - bench.guard.counts.filled
+    assert bench.guard.counts.filled >= 22  # of 24: near rest nothing shows that one is missing
+    lost = sum(k % 17 in (3, 4) for k in range(1, 201))
+    assert len(bench.received["PSM1/servo_jp"]) >= 200 - lost, "what was lost is not sent"
+
+
+def test_a_client_that_wakes_late_and_stamps_it_goes_no_farther_for_that(bench: Bench) -> None:
+    bench.ready()
+    start, now = bench.held("PSM1"), bench.client.stamp_ns
+    late_ns = iter([0, 0, 6_000_000, 0] * 50)
+    bench.client.stamp_ns = lambda: now() + next(late_ns)  # type: ignore[method-assign]
+    for k in range(1, 201):
+        bench.stream("PSM1", *swing(start, k, 0.02))
+        bench.step()
+    assert (bench.guard.counts.stopped, bench.guard.counts.filled) == (0, 0)
 
 
 def test_a_jaw_may_be_streamed_less_often_than_its_arm(bench: Bench) -> None:

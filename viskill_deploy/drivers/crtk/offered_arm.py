@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from math import dist
 from typing import Any, Final
 
 from viskill_deploy.core.description import CellArm
@@ -48,6 +49,31 @@ class Condition:
     state: str
     is_homed: bool
     is_busy: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What a client asks of an arm in one setpoint; velocities are () where it gives none.
+
+    Attributes:
+        lost: how many setpoints are missing before it, going by the stamps; 0 without stamps.
+    """
+
+    jp: Joints
+    jv: Joints
+    jaw: float
+    jaw_v: Joints
+    lost: int
+
+    def way(self, last: JointSetpoint) -> float:
+        """How far it is from where the arm was sent last, by all joints together."""
+        return dist((*self.jp, self.jaw), (*last.jp, last.jaw))
+
+    def setpoint(self, last: JointSetpoint, time_s: float) -> JointSetpoint:
+        """With the mean velocities since the last setpoint where the client gives none."""
+        means = tuple([(b - a) / time_s for a, b in zip(last.jp, self.jp, strict=True)])
+        speed = self.jaw_v[0] if self.jaw_v else (self.jaw - last.jaw) / time_s
+        return JointSetpoint(self.jp, self.jv or means, self.jaw, speed)
 
 
 class OfferedArm:
@@ -100,11 +126,8 @@ class OfferedArm:
         self.servo.clear()
         self.jaw.clear()
 
-    def take(self, last: JointSetpoint, period_s: float) -> tuple[JointSetpoint, int]:
-        """The oldest setpoint that waits, and how many before it were lost on the way.
-
-        What the client did not ask for stays where it was. Stamps say what was lost; of a client
-        that does not stamp, nothing is known to be.
+    def take(self, last: JointSetpoint, period_s: float) -> Asked:
+        """The oldest setpoint that waits. What the client did not ask for stays where it was.
 
         Args:
             last: what the arm was sent last.
@@ -121,15 +144,10 @@ class OfferedArm:
                 q, v = message.position, message.velocity
             else:
                 q, v = self._cartesian.goal(message.pose, last.jp), ()
-            if not v:
-                per_s = 1.0 / ((1 + lost) * period_s)
-                v = tuple([(b - a) * per_s for a, b in zip(last.jp, q, strict=True)])
-        angle, speed = last.jaw, 0.0
+        jaw = JointState(position=(last.jaw,), velocity=(0.0,))
         if self.jaw:
-            message, _ = self.jaw.popleft()
-            angle = message.position[0]
-            speed = message.velocity[0] if message.velocity else (angle - last.jaw) / period_s
-        return JointSetpoint(q, v, angle, speed), lost
+            jaw, _ = self.jaw.popleft()
+        return Asked(q, v, jaw.position[0], jaw.velocity, lost)
 
     def speak(self, state: ArmState, condition: Condition, now: float) -> None:
         """Says where the arm is, and in what condition; what was refused too.
