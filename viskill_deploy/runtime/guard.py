@@ -100,7 +100,8 @@ class Guard:
         self._recover = recover
         self._state = driver.state()
         self._sent: tuple[JointSetpoint, ...] = ()
-        self._last_s, self._told = driver.clock.now(), ""
+        self._last_s, self._told = driver.clock.now(), set[str]()
+        self._told_mode = Mode.OFF
         self._expected: frozenset[tuple[int, str]] = frozenset()
         self._halt = ""  # why the arms have to come to rest
         self._is_armed = self._is_stopping = self._at_rest = False
@@ -264,10 +265,12 @@ class Guard:
         self._is_stopping, self._at_rest = not decision.passed, decision.at_rest
         if self._is_stopping:
             self._halt = ""
-        said = f"{decision.mode}{sorted({v.rule for v in decision.verdicts})}"
-        if said != self._told:
-            self._told = said
+        rules = {verdict.rule for verdict in decision.verdicts}
+        known = self._told if decision.mode is self._told_mode else set()
+        if decision.mode is not self._told_mode or not rules <= known:
             self._tell(decision.verdicts, decision.mode)
+        self._told_mode = decision.mode
+        self._told = rules if decision.passed else known | rules
 
     def _send(self, decision: Decision, now: float) -> None:
         if decision.action is Action.ESTOP:
