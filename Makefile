@@ -3,10 +3,11 @@ PYTHON ?= python3.11
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 BUNDLE ?= policies/bipegtransfer-viskill
+EPISODES ?= 20
 # The CPU suffices for training and tests; name another build of torch here if you have a GPU.
 TORCH  ?= torch==2.13.0
 
-.PHONY: demo test lint unit slow wheel-check bench figures hazards mutation soak numbers faults false-trips can clean
+.PHONY: demo test lint unit slow wheel-check bench figures hazards mutation soak numbers faults false-trips can wire clean
 
 demo: $(VENV)/.runtime
 	$(BIN)/viskill dry-run $(BUNDLE)
@@ -86,10 +87,20 @@ false-trips: $(VENV)/.runtime
 
 # BiPegTransfer through simulated CiA 402 drives: 17 of 20, no trip. Then 14 axes against the clock.
 can: $(VENV)/.dev
-	OMP_NUM_THREADS=1 $(BIN)/viskill dry-run $(BUNDLE) --driver can --episodes 20 \
+	OMP_NUM_THREADS=1 $(BIN)/viskill dry-run $(BUNDLE) --driver can --episodes $(EPISODES) \
 	  --require-success 0.85 --no-video --json
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/can_cycles.py --check
 	@echo "make can: the drives did the task; no cycle was missed that the machine did not sleep through."
+
+# BiPegTransfer in real time through the wire at 200 Hz: simulated dVRK and driver are two processes.
+wire: $(VENV)/.dev
+	VENV=$(VENV) tests/ros/install
+	OMP_NUM_THREADS=1 $(BIN)/viskill dry-run $(BUNDLE) --driver crtk --realtime --transport dds \
+	  --rate 200 --episodes $(EPISODES) --require-success 0.85 --no-video --json
+	OMP_NUM_THREADS=1 .venv-ros2/bin/python -m viskill_deploy.cli.main dry-run $(BUNDLE) \
+	  --driver crtk --realtime --transport ros2 --rate 200 --episodes $(EPISODES) \
+	  --require-success 0.85 --no-video --json
+	@echo "make wire: the task was done over DDS and over ROS 2."
 
 # docs/hazards.md: hazard, invariant, code and tests, from data and markers.
 hazards: $(VENV)/.dev
