@@ -14,8 +14,13 @@ import pytest
 from silent_recorder import SilentRecorder
 
 from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.errors import DriverError
 from viskill_deploy.core.types import Mode
+from viskill_deploy.drivers.base import DISABLED, ENABLED
+from viskill_deploy.drivers.crtk.messages import StringStamped
+from viskill_deploy.drivers.crtk.server_options import ServerOptions
 from viskill_deploy.drivers.crtk.simulated import SteppedCrtk
+from viskill_deploy.drivers.crtk.topics import Version
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.motion.waypoints import ActionSpec, apply_action
 from viskill_deploy.runtime.ledger import EpisodeResult
@@ -34,12 +39,16 @@ FAULT_AT = 12
 class Run:
     """A session whose arms are on their way."""
 
-    def __init__(self) -> None:
-        self.driver = SteppedCrtk(CELL)
+    def __init__(self, version: Version = "2.4") -> None:
+        self.driver = SteppedCrtk(CELL, server=ServerOptions(version=version, homing="stay"))
         self.driver.connect()
         self.driver.reset(LAYOUT)
         line = Line(CELL, self.driver.period_s)
         self.session = Session(CELL, self.driver, line, SilentRecorder())
+        self.go()
+
+    def go(self) -> None:
+        """The arms are sent on their way."""
         state = self.session.make_ready()
         self.session.begin()
         first = waypoint_at(CELL, axes_of(state))
@@ -114,3 +123,62 @@ def test_a_fault_of_one_arm_stops_both_in_its_time_and_is_named(run: Run, row: R
     assert run.driver.clock.now() - run.began < 0.5
     run.driver.clock.sleep_until(run.driver.clock.now() + 0.05)
     assert run.speeds() == [0.0, 0.0]
+
+
+OLD_ROWS = [
+    Row("invalid", "S18", Mode.FAULT, 0.060, ""),
+    Row("clutch", "S24", Mode.FAULT, 0.005, "somebody presses PSM1's clutch"),
+    Row("tracking", "S23", Mode.FAULT, 0.005, "PSM1 is in FAULT"),
+]
+
+
+@pytest.mark.parametrize("row", OLD_ROWS, ids=lambda row: row.fault)
+def test_what_dvrk_2_3_says_otherwise_comes_to_the_same(row: Row):
+    run = Run("2.3")
+    run.driver.front.cause(row.fault, "PSM1", True)
+    assert run.noticed_s() <= row.within_s + 1e-9
+    result = run.ended()
+    assert (result.stopped_by, run.session.gate.mode) == (row.rule, row.mode)
+    assert row.said in result.reason
+    run.close()
+
+
+@pytest.mark.invariant("S22")
+@pytest.mark.parametrize("is_console_gone", [False, True])
+def test_a_pedal_that_is_let_go_or_lost_holds_the_arms(run: Run, is_console_gone: bool):
+    line = run.driver.exchange.lines["/console/operator_present"]
+    if is_console_gone:
+        line.mouths.clear()
+    else:
+        run.driver.say(consent=False)
+    assert run.noticed_s() <= 0.010 + 1e-9
+    assert run.ended().stopped_by == "S22"
+    assert run.session.gate.mode is Mode.HOLDING
+    assert [arm.condition.state for arm in run.driver.arms] == [ENABLED, ENABLED]
+
+
+def test_after_a_fault_the_arms_go_again_when_a_person_has_looked_and_not_before(run: Run):
+    run.driver.front.cause("tracking", "PSM1", True)
+    run.noticed_s()
+    run.ended()
+    for _ in range(2):
+        with pytest.raises(DriverError, match="a person has to look"):
+            run.session.make_ready()
+    run.driver.recover()
+    assert {arm.condition.state for arm in run.driver.arms} == {DISABLED}
+    run.driver.reset(LAYOUT)
+    run.go()
+    assert run.session.cycle()
+
+
+def test_arms_about_which_there_is_doubt_are_paused_before_they_lose_their_power():
+    run, words = Run(), list[str]()
+    run.driver.exchange.line("/PSM2/state_command", StringStamped).ears.append(
+        (run.driver.front._transport, lambda word, now: words.append(word.string))
+    )
+    run.driver.front.cause("clutch", "PSM1", True)
+    run.noticed_s()
+    run.ended()
+    run.close()
+    assert words == ["pause", "disable"]
+    assert run.driver.front.arms["PSM2"].arm.operating.state == DISABLED

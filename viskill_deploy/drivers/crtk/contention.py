@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
 from typing import Final
 
 from viskill_deploy.core.types import Joints, JointSetpoint
 
 UNDERWAY_S: Final = 0.1
 """How long a setpoint of ours may be on its way and still be what an arm holds."""
+
+KEPT_S: Final = 1.0
+"""An arm that was silent for longer than half of it is lost anyway."""
 
 TOLERANCE: Joints = (0.005, 0.005, 0.0005, 0.005, 0.005, 0.005, 0.02)
 """rad, m; the jaw is the last one. As the gate's own rule on it (S24)."""
@@ -40,7 +42,7 @@ class Sent:
         if not self._rows:
             self._rows.append((now - UNDERWAY_S, held))
         self._rows.append((now, (*setpoint.jp, setpoint.jaw)))
-        while len(self._rows) > 2 and self._rows[1][0] < now - 3 * UNDERWAY_S:
+        while len(self._rows) > 2 and self._rows[1][0] < now - KEPT_S:
             self._rows.popleft()
 
     def stranger(self, held: Joints, stamp_s: float) -> int | None:
@@ -50,18 +52,19 @@ class Sent:
             held: what it says that it holds, (7,).
             stamp_s: when it was so.
         """
-        rows = list(self._since(stamp_s - UNDERWAY_S))
-        if not rows:
+        rows = self._since(stamp_s - UNDERWAY_S)
+        if not rows or held in rows:
             return None
         for joint, (low, high) in enumerate(zip(map(min, *rows), map(max, *rows), strict=True)):
             if not low - TOLERANCE[joint] <= held[joint] <= high + TOLERANCE[joint]:
                 return joint
         return None
 
-    def _since(self, start_s: float) -> Iterator[Joints]:
-        """The rows sent since then, and the one that was in force then; at least two."""
-        rows = tuple(self._rows)
-        first = 0
-        while first + 2 < len(rows) and rows[first + 1][0] <= start_s:
-            first += 1
-        return (row for _, row in rows[first:])
+    def _since(self, start_s: float) -> list[Joints]:
+        """What was sent since then, newest first, and what was in force then; at least two."""
+        rows: list[Joints] = []
+        for sent_s, row in reversed(self._rows):
+            rows.append(row)
+            if sent_s <= start_s and len(rows) > 1:
+                break
+        return rows

@@ -389,6 +389,19 @@ def test_a_setpoint_between_two_that_were_sent_is_ours(room: Room, driver: CrtkD
             arm.jaw = 0.2 + 0.05 * max(ahead, 0.0)
 
 
+def test_an_arm_that_falls_silent_while_it_moves_is_silent_and_nobody_elses(
+    room: Room, driver: CrtkDriver
+):
+    ready(driver)
+    stream(driver)
+    room.arms[0].is_silent = True
+    for step in range(95):  # half a second less than one feedback
+        cycle(driver, setpoints(PLACE[0] + 0.002 * step))
+    assert "/PSM1/measured_js is silent" in refusal(
+        lambda: [cycle(driver, setpoints(0.3)) for _ in range(20)]
+    )
+
+
 def test_arms_that_were_moved_while_nothing_was_sent_begin_another_stream(
     room: Room, driver: CrtkDriver
 ):
