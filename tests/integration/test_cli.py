@@ -98,9 +98,9 @@ def test_a_served_loopback_in_real_time_streams_setpoint_by_setpoint(
     assert result["real_time"] is True
     assert result["setpoints"] > 0
     assert result["refused"] == 0
-    # a machine that is busy with other tests may be too late for the gate, and nothing else
+    # a machine that is busy with other tests may be too late for gate or watchdog, nothing else
     causes = {episode["stopped_by"] for episode in result["episode_results"]} - {""}
-    assert causes <= {"S18", "S19", "S20", "S24"}
+    assert causes <= {"S18", "S19", "S20", "S24", "S25"}
     assert run.returncode == (5 if causes else 0), run.stderr
     assert causes or result["success_rate"] == 1.0
 
