@@ -10,11 +10,10 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import dist, hypot, isfinite
 from typing import Final
 
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.errors import DriverError, KinematicsError
+from viskill_deploy.core.errors import DriverError
 from viskill_deploy.core.types import (
     Action,
     ArmState,
@@ -25,21 +24,13 @@ from viskill_deploy.core.types import (
     Verdict,
 )
 from viskill_deploy.drivers.base import ENABLED, PAUSED, Driver
-from viskill_deploy.drivers.crtk.offered_arm import Asked, Condition, OfferedArm
+from viskill_deploy.drivers.crtk.offered_arm import Condition, OfferedArm
 from viskill_deploy.drivers.crtk.transport import Transport
 from viskill_deploy.motion.links import CellLinks
+from viskill_deploy.runtime.client_stream import TOGETHER_S, ClientStream
 from viskill_deploy.runtime.record import Recorder
 from viskill_deploy.safety.decision import Decision
 from viskill_deploy.safety.supervisor import Supervisor
-
-TOGETHER_S: Final = 0.001
-"""What the arms of one moment are sent arrives within this."""
-
-LOST: Final = 3
-"""Periods without a setpoint, while the arms move, after which the stream counts as broken off."""
-
-STILL: Final = 1e-9
-"""rad or m in a period."""
 
 STOP_S: Final = 2.0
 """What the gate's own stop gets before the guard ends anyway."""
@@ -96,16 +87,14 @@ class Guard:
         self.driver, self.gate = driver, Supervisor(cell, driver.period_s)
         self._bell = threading.Event()
         self.arms = [OfferedArm(arm, transport, prefix, self._bell.set) for arm in cell.arms]
+        self._stream = ClientStream(self.arms, driver.period_s)
         self._recorder, self._tell, self._links = recorder, tell, CellLinks(cell)
         self._recover = recover
         self._state = driver.state()
-        self._sent: tuple[JointSetpoint, ...] = ()
         self._last_s, self._told = driver.clock.now(), set[str]()
         self._told_mode = Mode.OFF
-        self._expected: frozenset[tuple[int, str]] = frozenset()
         self._halt = ""  # why the arms have to come to rest
         self._is_armed = self._is_stopping = self._at_rest = False
-        self._way = 0.0  # of all joints together in the last cycle
         self._had_consent = True  # only one that was seen to rise counts
         self._wants_on = self._wants_off = self.is_reset_wanted = self.is_stop_wanted = False
         self.counts = GuardCounts()
@@ -119,10 +108,6 @@ class Guard:
                 self._bell.clear()
         finally:
             self.close()
-
-    @property
-    def _is_moving(self) -> bool:
-        return self._way > STILL
 
     def ask_to_stop(self) -> None:
         """A person wants the end: acts at the next look."""
@@ -152,24 +137,17 @@ class Guard:
         self.driver.close()
 
     def _is_due(self, now: float) -> bool:
-        """Whether the gate has to look now: at all that belongs together, or because time is up."""
-        since, period = now - self._last_s, self.driver.period_s
+        since_s = now - self._last_s
         if self._is_stopping or self._halt:
-            return since >= period
-        waiting = self._waiting()
-        if waiting:
-            first = min(arrival for arm in self.arms for arrival in arm.arrivals)
-            return waiting >= self._expected or now >= first + TOGETHER_S
-        return since >= (LOST * period if self._is_moving else period)
+            return since_s >= self.driver.period_s
+        return self._stream.is_due(now, since_s)
 
     def _next_s(self, now: float) -> float:
-        if self._is_armed and self._waiting() and not self._is_stopping:
+        if self._is_armed and self._stream.is_waiting and not self._is_stopping:
             return now + TOGETHER_S / 2
-        periods = LOST if self._is_moving and not self._is_stopping else 1
-        return self._last_s + periods * self.driver.period_s
-
-    def _waiting(self) -> frozenset[tuple[int, str]]:
-        return frozenset((i, kind) for i, arm in enumerate(self.arms) for kind in arm.waiting)
+        is_streaming = self._is_armed and not self._is_stopping
+        patience_s = self._stream.patience_s if is_streaming else self.driver.period_s
+        return self._last_s + patience_s
 
     def _cycle(self, now: float) -> None:
         """Judges what the client asks for, with what was lost before it, and sends it on."""
@@ -189,44 +167,9 @@ class Guard:
     def _requests(self) -> list[Request]:
         """What the gate is asked, in order; all but the last were never heard."""
         if self._is_stopping:
-            self._forget()
-            return [Request(self._sent)]
-        waiting = self._waiting()
-        if self._halt or (not waiting and self._is_moving):
-            self._forget()
-            return [Request(None, failure=self._halt or "the client's stream has broken off")]
-        self._expected = waiting
-        try:
-            return self._asked()
-        except KinematicsError as error:
-            self._forget()
-            return [Request(None, failure=str(error))]
-
-    def _asked(self) -> list[Request]:
-        period = self.driver.period_s
-        asked = [arm.take(last, period) for arm, last in zip(self.arms, self._sent, strict=True)]
-        missing = self._missing(asked)
-        if missing >= LOST:
-            return [Request(None, failure=f"{missing} setpoints of the client were lost")]
-        n = missing + 1
-        taken = [a.setpoint(last, n * period) for a, last in zip(asked, self._sent, strict=True)]
-        pairs = list(zip(self._sent, taken, strict=True))
-        rows = [tuple(_between(a, b, k / n, n * period) for a, b in pairs) for k in range(1, n)]
-        free = (True,) * len(self.arms)  # a jaw that opens is the client's wish
-        return [Request(row, may_open_jaw=free) for row in (*rows, tuple(taken))]
-
-    def _missing(self, asked: list[Asked]) -> int:
-        """How many setpoints of a moving client were lost: its stamps and its way both say so.
-
-        The stamps of a client that wakes late have gaps as well, but it goes no farther for that.
-        """
-        period, before = self.driver.period_s, self._way
-        way = sum([a.way(last) for a, last in zip(asked, self._sent, strict=True)])
-        if not (before > STILL and isfinite(way)):
-            return 0
-        after = sum([hypot(*a.jv, *a.jaw_v) for a in asked]) * period or before
-        periods = round(2.0 * way / (before + after)) if isfinite(after) else 1
-        return max(min(max(a.lost for a in asked), periods - 1), 0)
+            self._stream.forget()
+            return [Request(self._stream.sent)]
+        return self._stream.requests(self._halt)
 
     def _judge(self, state: CellState, request: Request, now: float, is_sent: bool = True) -> bool:
         """One cycle of the gate; whether the request passed."""
@@ -239,7 +182,7 @@ class Guard:
         self.driver.watch.beat(self.driver.clock.now())
         is_over = self._at_rest  # the last sample of the stop has gone out twice
         self._note(decision)
-        sent = self._sent
+        sent = self._stream.sent if is_sent or not decision.passed else ()
         tips = (
             self._links.tips([arm.measured_jp for arm in state.arms])
             if decision.action < Action.FAULT
@@ -252,11 +195,7 @@ class Guard:
         return decision.passed
 
     def _note(self, decision: Decision) -> None:
-        before, self._sent = self._sent, tuple(c.setpoint for c in decision.setpoints)
-        ways = [
-            dist((*a.jp, a.jaw), (*b.jp, b.jaw)) for a, b in zip(before, self._sent, strict=True)
-        ]
-        self._way = sum(ways) if decision.passed else 0.0
+        self._stream.note(tuple(checked.setpoint for checked in decision.setpoints))
         began = not decision.passed and not self._is_stopping
         counts = self.counts
         self.counts = replace(
@@ -303,7 +242,7 @@ class Guard:
         except DriverError as error:
             self._complain(str(error), now)
             return
-        self._forget()
+        self._stream.forget()
         has_consent = state.inputs.consent is True
         rises = has_consent and not self._had_consent
         self._had_consent = has_consent
@@ -312,20 +251,15 @@ class Guard:
         against = self.gate.arm(state, now)
         self._tell(against, self.gate.mode)
         if not against:
-            rest = (0.0,) * 6
-            self._sent = tuple(
-                JointSetpoint(a.setpoint_jp, rest, a.jaw_setpoint_jp, 0.0) for a in state.arms
-            )
+            self._stream.begin(tuple(map(_held, state.arms)))
             self._is_armed, self._halt = True, ""
             self._wants_on = self._is_stopping = self._at_rest = False
-            self._way = 0.0
 
     def _go_on(self, state: CellState, now: float) -> None:
         """The operator has pressed the pedal anew: a held run goes on as soon as all is well."""
         if not self.gate.resume(state, now):
-            self._wants_on = False
-            self._forget()
-            self._is_stopping, self._at_rest, self._expected = False, False, frozenset()
+            self._wants_on = self._is_stopping = self._at_rest = False
+            self._stream.begin(self._stream.sent)
             self._tell((), self.gate.mode)
 
     def _obey(self, now: float) -> None:
@@ -346,7 +280,7 @@ class Guard:
                 case "enable" | "home":
                     pass
                 case "pause" | "hold":
-                    self._halt = f"the client asked for {word}" if self._is_moving else ""
+                    self._halt = f"the client asked for {word}" if self._stream.is_moving else ""
                 case "disable":
                     self._wants_off = True
                     self._halt = "the client disables the arms"
@@ -383,10 +317,6 @@ class Guard:
                 self._complain(str(error), now)
         self._tell((), self.gate.mode)
 
-    def _forget(self) -> None:
-        for arm in self.arms:
-            arm.forget()
-
     def _complain(self, text: str, now: float) -> None:
         for arm in self.arms:
             arm.error(text, now)
@@ -404,20 +334,7 @@ class Guard:
         return Condition(arm.operating_state, arm.is_homed, arm.is_busy or is_waiting)
 
 
-def _between(a: JointSetpoint, b: JointSetpoint, part: float, time_s: float) -> JointSetpoint:
-    """What lay between two setpoints of a stream: cubics by their positions and velocities.
-
-    Args:
-        a: the earlier one.
-        b: the later one.
-        part: how far between them, 0 to 1.
-        time_s: time from one to the other.
-    """
-    s, r = part, 1.0 - part
-    rising, first, second = s * s * (3.0 - 2.0 * s), s * r * r * time_s, -s * s * r * time_s
-
-    def cubic(x: float, y: float, v: float, w: float) -> float:
-        return x + rising * (y - x) + first * v + second * w
-
-    jp = tuple(map(cubic, a.jp, b.jp, a.jv, b.jv))
-    return JointSetpoint(jp, b.jv, cubic(a.jaw, b.jaw, a.jaw_v, b.jaw_v), b.jaw_v)
+def _held(arm: ArmState) -> JointSetpoint:
+    """What an arm holds, at rest."""
+    rest = (0.0,) * len(arm.setpoint_jp)
+    return JointSetpoint(arm.setpoint_jp, rest, arm.jaw_setpoint_jp, 0.0)
