@@ -60,6 +60,9 @@ def check(
         InterfaceChoice | None,
         typer.Option(help="What the buses are, if not what the file says."),
     ] = None,
+    robot: Annotated[
+        str, typer.Option(help="Cell, by name or path of a TOML file; the CAN file's by default.")
+    ] = "",
     simulated: Annotated[
         bool, typer.Option("--simulated", help="On simulated drives; the simulator is the witness.")
     ] = False,
@@ -76,7 +79,7 @@ def check(
     from viskill_deploy.drivers.can.config import load_with_cell  # noqa: PLC0415
     from viskill_deploy.drivers.can.wiring_check import note_checked  # noqa: PLC0415
 
-    told, cell = load_with_cell(file, interface.value if interface else None)
+    told, cell = load_with_cell(file, interface.value if interface else None, robot)
     console = Console()
     if simulated:
         drives = cast(stepped.SteppedCan, stepped.connect(cell, name=file))

@@ -128,6 +128,9 @@ def command(
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Loopback in its own process, against the clock.")
     ] = False,
+    can: Annotated[
+        str, typer.Option(help="CAN file, by name or path; that of the cell's name by default.")
+    ] = "",
     inputs: Inputs = "",
     yes: Annotated[
         bool,
@@ -170,7 +173,13 @@ def command(
     console = Console(stderr=json_)
     network = Network(domain, interface)
     chosen = RobotOptions(
-        driver.value, realtime, seed=seed, inputs=inputs, transport=transport.value, network=network
+        driver.value,
+        realtime,
+        can=can,
+        seed=seed,
+        inputs=inputs,
+        transport=transport.value,
+        network=network,
     )
     found = connected(prepared.cell, chosen)
     try:

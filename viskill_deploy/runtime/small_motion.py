@@ -17,6 +17,7 @@ from viskill_deploy.core import realtime
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DriverError, MotionError, SafetyStop
 from viskill_deploy.core.types import PSM_JOINTS, CellState, FloatArray
+from viskill_deploy.drivers.base import ENABLED
 from viskill_deploy.motion.plan import smooth
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.runtime.moves import axes_of, rest, run_motion
@@ -92,10 +93,11 @@ def check_small_motions(
         DriverError: an arm did something else; names arm, axis and what it did. It is at rest.
         SafetyStop: the gate refuses to arm, or stepped in; or a nudge has no room either way.
     """
-    session.make_ready()
+    # Planned before arms have power: with it they would count on us in every period.
     if not session.driver.capabilities.stepped:
-        realtime.first_in_line()  # arms with power do not wait for other programs
-    ways = [_planned(session, nudge) for nudge in nudges]  # no time for it once they move
+        realtime.first_in_line()  # heartbeats do not wait for other programs
+    ways = [_planned(session, nudge) for nudge in nudges]
+    session.make_ready()
     session.begin()
     for nudge, out, back in ways:
         witness.look()
@@ -121,7 +123,7 @@ def _sentence(cell: CellDescription, nudge: Nudge, seen: str) -> str:
 
 def _planned(session: Session, nudge: Nudge) -> tuple[Nudge, Plan, Plan]:
     """A nudge that has room, and the checked ways out and back."""
-    state = session.read()
+    state = _with_power(session.read())
     held = axes_of(state)
     refusals = []
     for turned in (nudge, replace(nudge, size=-nudge.size)):
@@ -135,7 +137,16 @@ def _planned(session: Session, nudge: Nudge) -> tuple[Nudge, Plan, Plan]:
             continue
         return turned, out, back
     name = name_of(session.cell, nudge)
-    raise SafetyStop(f"{name} has no room for a small motion ({refusals[0]}); move it elsewhere")
+    raise SafetyStop(
+        f"{name} has no room for a small motion ({refusals[0]}); move it elsewhere, or put the "
+        "table of axes right if it does not stand where this says"
+    )
+
+
+def _with_power(state: CellState) -> CellState:
+    """The same arms once they are ready, for a rehearsal."""
+    arms = [replace(arm, operating_state=ENABLED, is_homed=True) for arm in state.arms]
+    return CellState(tuple(arms), replace(state.inputs, watchdog_stepped_in=False))
 
 
 def _way(cell: CellDescription, start: FloatArray, goal: FloatArray) -> Plan:

@@ -234,14 +234,14 @@ def load_can(name: str, cell: CellDescription, interface: Interface | None = Non
 
 
 def load_with_cell(
-    name: str, interface: Interface | None = None
+    name: str, interface: Interface | None = None, robot: str = ""
 ) -> tuple[CanFile, CellDescription]:
-    """A CAN file and the cell that it names.
+    """A CAN file and its cell: the one that it names, or the one in the file `robot`.
 
     Raises:
         DataFileError: either is wrong, or they do not fit.
     """
-    cell = load_cell(read_toml(_path(name), CanFile).cell)
+    cell = load_cell(robot or read_toml(_path(name), CanFile).cell)
     return load_can(name, cell, interface), cell
 
 
