@@ -99,10 +99,10 @@ class CrtkDriver:
         Raises:
             DriverError: an arm is not heard, or is not the cell's; names it and its topic.
         """
-        self._console = Console(self._transport, self._options.console, self._options.source)
-        self.arms = [ArmClient(arm, self._transport) for arm in self._cell.arms]
-        self._doubts = Doubts(self.arms)
         try:
+            self._console = Console(self._transport, self._options.console, self._options.source)
+            self.arms = [ArmClient(arm, self._transport) for arm in self._cell.arms]
+            self._doubts = Doubts(self.arms)
             self._until(lambda: not self._unheard(), CONNECT_S, self._unheard)
             with contextlib.suppress(DriverError):  # without power it may not know where it is
                 self._until(lambda: all(arm.is_heard for arm in self.arms), SAMPLE_S, str)
