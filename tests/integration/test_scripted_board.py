@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import write_untrained
 from scripted import scripted
+from untrained import write_untrained
 
 from viskill_deploy.runtime.dry_run import DryRunOptions, Mode, dry_run
 from viskill_deploy.runtime.preflight import Prepared

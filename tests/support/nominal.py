@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from conftest import write_untrained
 from scripted import scripted
+from untrained import write_untrained
 
 from viskill_deploy.bundle.format import load_bundle
 from viskill_deploy.core.description import CellDescription

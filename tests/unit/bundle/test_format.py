@@ -11,8 +11,8 @@ import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
+from untrained import linear_graph
 
-from tests.conftest import linear_graph
 from viskill_deploy.bundle import graphs
 from viskill_deploy.bundle.chain import SkillChain
 from viskill_deploy.bundle.format import MANIFEST, check_fits, load_bundle, write_manifest

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import write_untrained
 from knocking import KnockingDriver, Notes, knocked, lifted
 from scripted import scripted
+from untrained import write_untrained
 
 from viskill_deploy.bundle.format import load_bundle
 from viskill_deploy.core.errors import SafetyStop
