@@ -52,7 +52,7 @@ def command(
         print(f"{bus.arm} on {interface.value} {bus.channel}, load {load:.0%}: {nodes}")
     print(f"input node {told.input.node_id} on the bus of {told.input.bus}; type {ORDERS}")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    notes = realtime.prepare()  # drives would not wait for other programs either
+    notes = realtime.prepare(realtime.DRIVES_PRIORITY)
     print("\n".join([*notes, "serving until Ctrl-C"]), flush=True)
     with contextlib.suppress(KeyboardInterrupt), contextlib.closing(front):
         DriveServer(front, MonotonicClock(), sys.stdin.fileno()).run()

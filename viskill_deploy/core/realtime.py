@@ -15,6 +15,9 @@ WATCHDOG_PRIORITY = 60
 EARS_PRIORITY = 55
 """Of threads that bring the control loop what it waits for, and are done at once."""
 
+DRIVES_PRIORITY = 58
+"""Of simulated drives: real ones have a processor of their own and wait for no control loop."""
+
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 
 

@@ -42,7 +42,7 @@ class Company:
         sys.setswitchinterval(self._switch_s)
 
     def _run(self) -> None:
-        realtime.first_in_line()
+        realtime.first_in_line(realtime.EARS_PRIORITY)
         while not self._is_over:
             self._clock.sleep_until(self._clock.now() + self._period_s)
             self._keep()

@@ -35,7 +35,7 @@ def main() -> None:
         listener.bind(str(args.socket))
         args.socket.chmod(0o600)
         listener.listen()
-        realtime.prepare()  # drives would not wait for other programs either
+        realtime.prepare(realtime.DRIVES_PRIORITY)
         LoopbackServer(world, listener, lambda cell: DriveCell(cell, file)).run()
 
 
