@@ -5,6 +5,7 @@ Messages go as bytes that `cdr` makes and reads, which costs less than rclpy's o
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import threading
 from collections.abc import Callable
@@ -22,6 +23,7 @@ from viskill_deploy.drivers.crtk.cdr import decoder, encoder
 from viskill_deploy.drivers.crtk.conversion import from_native, to_native
 from viskill_deploy.drivers.crtk.interfaces import is_loopback, ros2_environment
 from viskill_deploy.drivers.crtk.loopback_only import confine
+from viskill_deploy.drivers.crtk.ros2_ears import Ears
 from viskill_deploy.drivers.crtk.transport import EVENTS_KEPT, M, Q, R, TransportName, hand_over
 
 NO_EVENTS = (
@@ -61,10 +63,8 @@ class Ros2:
             raise DriverError(
                 f"ROS 2 does not start in domain {domain} on {where}: {error}"
             ) from error
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._spin, name="crtk-ros2", daemon=True)
-        self._thread.start()
+        self._listener = Ears(self._context)
+        self._executor: SingleThreadedExecutor | None = None  # of services, where there are any
 
     def _join(self, node: str, domain: int, interface: str) -> Any:
         with ros2_environment(interface):
@@ -111,15 +111,17 @@ class Ros2:
         def arrive(data: bytes) -> None:
             hand_over(topic, data, decode, hear, self._clock.now())
 
+        kind = _class(message)
         ear = self._node.create_subscription(
-            _class(message), topic, arrive, _qos(is_latched), raw=True, event_callbacks=NO_EVENTS[0]
+            kind, topic, arrive, _qos(is_latched), raw=True, event_callbacks=NO_EVENTS[0]
         )
         self._ears.setdefault(topic, []).append(ear)
+        self._listener.add(ear, kind, arrive)
 
     def serve(
         self, name: str, request: type[Q], response: type[R], answer: Callable[[Q], R]
     ) -> None:
-        """Answers a service from this node's thread."""
+        """Answers a service from a thread of its own."""
         if not self._is_open:
             raise DriverError(f"{name}: this node is closed")
         kind = _class(request, "srv")
@@ -128,7 +130,7 @@ class Ros2:
             return kind.Response if part is response else _class(part)
 
         ask, tell = from_native(request), to_native(response, native)
-        self._node.create_service(kind, name, lambda asked, _: tell(answer(ask(asked))))
+        self._services().create_service(kind, name, lambda asked, _: tell(answer(ask(asked))))
 
     def peers(self, topic: str) -> int:
         """How many others are on the topic, on the side that we are not on."""
@@ -148,9 +150,12 @@ class Ros2:
         if not self._is_open:
             return
         self._is_open = False
-        self._executor.shutdown()
-        if threading.current_thread() is not self._thread:
-            self._thread.join()
+        self._listener.close()
+        if self._executor is not None:
+            self._executor.shutdown()
+            if threading.current_thread() is not self._thread:
+                self._thread.join()
+            self._clerk.destroy_node()
         self._node.destroy_node()
         rclpy.shutdown(context=self._context)
 
@@ -161,11 +166,25 @@ class Ros2:
         if carried is not message:
             raise DriverError(f"{topic} carries {carried.__name__}, not {message.__name__}")
 
+    def _services(self) -> Any:
+        """The node that answers services, so that topics need no executor."""
+        if self._executor is None:
+            self._clerk = rclpy.create_node(
+                f"{self._node.get_name()}_services",
+                context=self._context,
+                enable_rosout=False,
+                start_parameter_services=False,
+            )
+            self._executor = SingleThreadedExecutor(context=self._context)
+            self._executor.add_node(self._clerk)
+            self._thread = threading.Thread(target=self._spin, name="crtk-services", daemon=True)
+            self._thread.start()
+        return self._clerk
+
     def _spin(self) -> None:
-        try:
-            self._executor.spin()
-        except ExternalShutdownException:
-            return
+        with contextlib.suppress(ExternalShutdownException):
+            if self._executor is not None:
+                self._executor.spin()
 
 
 def _class(message: type[Any], folder: str = "msg") -> Any:
