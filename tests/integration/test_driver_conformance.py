@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 import served_arms
-from crtk_domain import DOMAIN
 
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import DriverError, SafetyStop
@@ -38,7 +37,7 @@ DRIVERS: dict[str, Callable[[], Driver]] = {
     "loopback": lambda: loopback.connect(CELL),
     "CAN, stepped": lambda: can.connect(CELL),
     "CRTK, stepped": lambda: crtk.connect(CELL),
-    "CRTK over DDS": lambda: served_arms.connected("dds", DOMAIN),
+    "CRTK over DDS": lambda: served_arms.connected("dds"),
     "CAN, served": served_can,
     "served loopback": lambda: loopback_served.connect(CELL, WorldOptions(period_s=0.01)),
 }

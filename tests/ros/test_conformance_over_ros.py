@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import served_arms
-from crtk_domain import DOMAIN
 
 from tests.integration.test_driver_conformance import *  # noqa: F403 - the tests, every one
 from viskill_deploy.drivers.base import Driver
@@ -23,7 +22,7 @@ LAYOUT = load_task("bipegtransfer").sample_layout(np.random.default_rng(0), "ref
 def driver(request: pytest.FixtureRequest) -> Iterator[Driver]:
     if request.param == "ros1":
         request.getfixturevalue("ros_master")
-    made = served_arms.connected(request.param, DOMAIN)
+    made = served_arms.connected(request.param)
     made.reset(LAYOUT)
     yield made
     made.close()

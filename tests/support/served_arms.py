@@ -3,6 +3,8 @@
 import functools
 from typing import Any
 
+from crtk_domain import DOMAIN
+
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.drivers.base import Driver
 from viskill_deploy.drivers.crtk.opening import LOOPBACK, Network
@@ -12,6 +14,8 @@ from viskill_deploy.sim.world import WorldOptions
 
 CELL = load_cell("bipegtransfer")
 OPTIONS = WorldOptions(period_s=0.01)
+LAST = 7
+"""Of the domains of this run: arms that stay are in nobody's way there."""
 
 
 class Kept:
@@ -35,9 +39,9 @@ def arms(transport: str, network: Network) -> ServedLoopback:
     return server
 
 
-def connected(transport: str, domain: int) -> Driver:
+def connected(transport: str) -> Driver:
     """A driver that has just connected to arms without power, at which nobody stands."""
-    network = Network(domain, LOOPBACK)
+    network = Network(DOMAIN + LAST, LOOPBACK)
     server = arms(transport, network)
     server.say(consent=False, estop=False)
     driver = ServedCrtk(CELL, transport, network, Kept(server), OPTIONS.period_s)
