@@ -105,29 +105,6 @@ def register(source: FloatArray, target: FloatArray, seed: int = 0) -> Registrat
     return Registration(T, residuals, inliers)
 
 
-def nearest_to_lines(points: FloatArray, directions: FloatArray) -> FloatArray:
-    """The point with the smallest sum of squared distances to lines: a port, from shaft axes.
-
-    Args:
-        points: a point of every line, (n, 3), m.
-        directions: unit vectors along them, (n, 3).
-
-    Returns:
-        The point, (3,) m.
-
-    Raises:
-        CalibrationError: the lines are (nearly) parallel, so that they fix no point.
-    """
-    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
-    matrix = across.sum(axis=0)
-    if np.linalg.eigvalsh(matrix)[0] < 1e-3 * len(points):
-        raise CalibrationError(
-            "the shaft hardly turned between the measurements, so they fix no port; "
-            "swing yaw and pitch by at least 20 degrees"
-        )
-    return np.linalg.solve(matrix, np.einsum("nij,nj->i", across, points))
-
-
 def _check(source: FloatArray, target: FloatArray) -> None:
     if len(source) != len(target) or len(source) < FEWEST:
         raise CalibrationError(

@@ -41,9 +41,6 @@ from viskill_deploy.sim.world import WorldOptions
 HELD_OUT = 200
 """Poses of the same kind, not measured, at which a calibrated arm is held against the truth."""
 
-SAMPLES = 300
-"""Rows of measurements an arm, at most, moving ones included."""
-
 
 @dataclass(frozen=True)
 class Trial:

@@ -28,6 +28,7 @@ from viskill_deploy.drivers.crtk.offered_arm import Condition, OfferedArm
 from viskill_deploy.drivers.crtk.transport import Transport
 from viskill_deploy.motion.links import CellLinks
 from viskill_deploy.runtime.client_stream import TOGETHER_S, ClientStream
+from viskill_deploy.runtime.delivery import Delivery
 from viskill_deploy.runtime.record import Recorder
 from viskill_deploy.safety.decision import Decision
 from viskill_deploy.safety.supervisor import Supervisor
@@ -85,6 +86,7 @@ class Guard:
         recover: Callable[[], None] = lambda: None,
     ) -> None:
         self.driver, self.gate = driver, Supervisor(cell, driver.period_s)
+        self._delivery = Delivery(driver, self.gate)
         self._bell = threading.Event()
         self.arms = [OfferedArm(arm, transport, prefix, self._bell.set) for arm in cell.arms]
         self._stream = ClientStream(self.arms, driver.period_s)
@@ -178,11 +180,12 @@ class Guard:
         decision = self.gate.check(state, request, now)
         self._last_s = now
         if is_sent or not decision.passed:
-            self._send(decision, now)
+            self._delivery.send(decision, now)
         self.driver.watch.beat(self.driver.clock.now())
         is_over = self._at_rest  # the last sample of the stop has gone out twice
         self._note(decision)
-        sent = self._stream.sent if is_sent or not decision.passed else ()
+        has_gone_out = (is_sent or not decision.passed) and not self._delivery.missed
+        sent = self._stream.sent if has_gone_out else ()
         tips = (
             self._links.tips([arm.measured_jp for arm in state.arms])
             if decision.action < Action.FAULT
@@ -211,27 +214,11 @@ class Guard:
         self._told_mode = decision.mode
         self._told = rules if decision.passed else known | rules
 
-    def _send(self, decision: Decision, now: float) -> None:
-        if decision.action is Action.ESTOP:
-            self._try(self.driver.disable, now)
-        self._try(lambda: self.driver.servo_jp(decision.setpoints), now)
-
-    def _try(self, call: Callable[[], None], now: float) -> None:
-        try:
-            call()
-        except DriverError as error:
-            self.gate.report_fault("S24", now)
-            self._complain(str(error), now)
-
     def _read(self, now: float) -> CellState:
-        """The newest state; the last one, and a report to the gate, when the driver fails."""
-        try:
-            self._state = self.driver.state()
-        except DriverError as error:
-            self.gate.report_fault("S24", now)
-            self._complain(str(error), now)
-            inputs = self.driver.watch.told(self._state.inputs, now)
-            self._state = replace(self._state, inputs=inputs)
+        """The newest state; the client is told when the driver complains."""
+        self._state = self._delivery.read(self._state)
+        if self._delivery.trouble:
+            self._complain(self._delivery.trouble, now)
         return self._state
 
     def _await_operator(self, now: float) -> None:
@@ -252,6 +239,7 @@ class Guard:
         self._tell(against, self.gate.mode)
         if not against:
             self._stream.begin(tuple(map(_held, state.arms)))
+            self._delivery.begin()
             self._is_armed, self._halt = True, ""
             self._wants_on = self._is_stopping = self._at_rest = False
 
@@ -299,9 +287,10 @@ class Guard:
             arm.speak(state, Condition(state.operating_state, state.is_homed, True), now)
 
     def _switch_off(self) -> None:
+        """Power off at the client's wish; what is worse than a HOLD stays for a person to clear."""
         self._wants_off, self._halt, self._is_armed = False, "", False
-        self.gate.reset(self.driver.clock.now())
-        self.gate.disarm()
+        if self.gate.latched <= Action.HOLD:
+            self.gate.reset(self.driver.clock.now())
         self.driver.watch.release()
         self.driver.disable()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Literal
 
 from viskill_deploy.core.clock import MonotonicClock
@@ -98,15 +97,10 @@ def _connected(cell: CellDescription, options: RobotOptions) -> Robot:
 
 
 def _over_crtk(cell: CellDescription, options: RobotOptions) -> Robot:
-    from viskill_deploy.drivers.crtk.driver import CrtkDriver, CrtkOptions  # noqa: PLC0415
-    from viskill_deploy.drivers.crtk.watchdog import start_watch  # noqa: PLC0415
+    from viskill_deploy.drivers.crtk import robot as crtk  # noqa: PLC0415 - optional
 
-    node = open_transport(options.transport, options.network)
-    names = [arm.name for arm in cell.arms]
-    watch = partial(start_watch, names, node.name, options.network)
-    driver = CrtkDriver(cell, node, CrtkOptions(), watch)
-    driver.connect()
-    return Robot(driver, node, is_lent=True)
+    driver = crtk.connect(cell, options.transport, options.network)
+    return Robot(driver, driver.node, is_lent=True)
 
 
 def things_of(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
@@ -25,6 +24,7 @@ from viskill_deploy.core.types import (
 from viskill_deploy.drivers.base import Driver
 from viskill_deploy.drivers.watch import OwnTime
 from viskill_deploy.runtime.consent import Consent, consent_of
+from viskill_deploy.runtime.delivery import Delivery
 from viskill_deploy.runtime.ledger import EpisodeResult, Ledger
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.planning import Plan
@@ -45,11 +45,6 @@ READY_PERIODS = 50
 
 LAST_CYCLES = 5
 """The last sample of a motion that ends at rest still moves by a micrometre; more are sent."""
-
-MISSED = 2
-"""Cycles whose setpoints may fail to arrive, one after the other, before the rest of them are kept
-back. An arm that has heard nothing for longer is at rest where it was: what the gate says by then
-would be a leap for it."""
 
 SURE_S = 0.3
 """Before a HOLD is cleared the gate looks on for this long, and more than its own clean while."""
@@ -75,7 +70,6 @@ class Session:
 
     Attributes:
         cause: id of the rule for which the gate first stepped in since `begin`; "" if it did not.
-        trouble: what the driver first complained of since then, in words; "" if it did not.
         is_stop_wanted: a person has asked for the end of the run.
         thinking_s: how much longer the policy takes to decide than it does by itself; for tests.
         empty_jaw_rad: how far each jaw is open when it closes on nothing; () until measured.
@@ -95,12 +89,13 @@ class Session:
             raise DriverError("a driver whose time goes on without us needs a watchdog; add one")
         self.cell, self.driver, self.line, self.recorder = cell, driver, line, recorder
         self.gate = Supervisor(cell, driver.period_s, training, line.speed)
+        self._delivery = Delivery(driver, self.gate)
         self._consent = consent or consent_of(driver)
         self._scenes = SceneWatch(driver, things, recorder)
         self.ledger = Ledger(cell, driver.period_s, self.gate.rules)
-        self.overruns, self.cause, self.trouble = 0, "", ""
+        self.overruns, self.cause = 0, ""
         self.thinking_s: Callable[[], float] = lambda: 0.0
-        self._deadline, self._missed = 0.0, 0
+        self._deadline = 0.0
         self._waypoint: Waypoint | None = None
         self._is_stopping, self._at_rest, self._is_moving = False, False, False
         self.is_stop_wanted = False
@@ -171,8 +166,9 @@ class Session:
     def _set_out(self, state: CellState) -> None:
         """The gate lets the arms move from here on."""
         self.line.start(state)
-        self._state, self._waypoint, self._missed = state, None, 0
-        self.cause = self.trouble = ""
+        self._state, self._waypoint = state, None
+        self.cause = ""
+        self._delivery.begin()
         self._is_stopping, self._at_rest, self._is_moving = False, False, True
 
     def _armed(self) -> CellState:
@@ -254,7 +250,7 @@ class Session:
             self.gate.report_fault("S32", now)
         decision = self.gate.check(state, request, now)
         sent = tuple(checked.setpoint for checked in decision.setpoints)
-        self._send(decision, now)
+        self._delivery.send(decision, now)
         self.driver.watch.beat(self.driver.clock.now())
         self._note(decision)
         if self.is_stop_wanted and not self._is_stopping:
@@ -262,7 +258,7 @@ class Session:
         mode, verdicts = decision.mode, decision.verdicts
         # a faulty arm may report numbers that have no pose
         tips = self.tips(state) if decision.action < Action.FAULT else None
-        gone_out = () if self._missed else sent
+        gone_out = () if self._delivery.missed else sent
         self.recorder.cycle(now, state, request, gone_out, decision.action, verdicts, mode, tips)
         self._follow_things(now, state)
         self._scenes.record(now)
@@ -311,13 +307,13 @@ class Session:
 
     def read(self) -> CellState:
         """The newest state; the last one, and a report to the gate, when the driver fails."""
-        try:
-            self._state = self.driver.state()
-        except DriverError as error:
-            now, old = self.driver.clock.now(), self._state
-            self._report(error, now)
-            self._state = replace(old, inputs=self.driver.watch.told(old.inputs, now))
+        self._state = self._delivery.read(self._state)
         return self._state
+
+    @property
+    def trouble(self) -> str:
+        """What the driver first complained of since the motion began, in words; or ""."""
+        return self._delivery.trouble
 
     def _request(self, now: float, state: CellState) -> Request:
         """What the line asks for; once the gate is stopping the arms, to stay where it leads."""
@@ -327,31 +323,6 @@ class Session:
             return self.line.request(now, self._waypoint, self._holding(state))
         except (ViskillError, ValueError) as error:
             return Request(None, failure=str(error))
-
-    def _send(self, decision: Decision, now: float) -> None:
-        """Sends what the gate decided; an emergency stop takes the power away, come what may."""
-        if decision.action is Action.ESTOP:
-            self._try(self.driver.disable, now)
-        if self._missed > MISSED:
-            self._try(self.driver.hold, now)
-        elif self._try(lambda: self.driver.servo_jp(decision.setpoints), now):
-            self._missed = 0
-        else:
-            self._missed += 1
-
-    def _try(self, call: Callable[[], None], now: float) -> bool:
-        """Whether the driver did it; a driver that fails is reported to the gate."""
-        try:
-            call()
-        except DriverError as error:
-            self._report(error, now)
-            return False
-        return True
-
-    def _report(self, error: DriverError, now: float) -> None:
-        """A rule has a number only; people need the driver's sentence too."""
-        self.trouble = self.trouble or str(error)
-        self.gate.report_fault("S24", now)
 
     def _note(self, decision: Decision) -> None:
         """Remembers what the gate first stepped in for, and whether its stop is over."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from measured_arm import rotation
 
-from viskill_deploy.calibrate.registration import nearest_to_lines, register, rigid
+from viskill_deploy.calibrate.registration import register, rigid
 from viskill_deploy.core.errors import CalibrationError
 
 
@@ -61,17 +61,3 @@ def test_a_measured_point_may_be_wrong_by_kilometres() -> None:
 def test_pairs_that_fix_nothing_are_refused(a: np.ndarray, b: np.ndarray, words: str) -> None:
     with pytest.raises(CalibrationError, match=words):
         register(a, b)
-
-
-def test_lines_through_a_port_give_the_port() -> None:
-    rng = np.random.default_rng(0)
-    port, directions = np.array([0.01, -0.02, 0.3]), rng.normal(0, 1, (8, 3))
-    directions /= np.linalg.norm(directions, axis=1)[:, None]
-    points = port + directions * rng.uniform(0.05, 0.2, (8, 1))
-    np.testing.assert_allclose(nearest_to_lines(points, directions), port, atol=1e-12)
-
-
-def test_parallel_shafts_fix_no_port() -> None:
-    directions = np.tile([0.0, 0.0, 1.0], (8, 1))
-    with pytest.raises(CalibrationError, match="hardly turned"):
-        nearest_to_lines(np.zeros((8, 3)), directions)

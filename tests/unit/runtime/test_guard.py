@@ -240,6 +240,30 @@ def test_a_nan_is_refused_and_only_a_person_clears_it(bench: Bench) -> None:
     assert bench.guard.gate.mode in GOING
 
 
+@pytest.mark.parametrize("wrong", [nan, 28 * pi / 180])
+def test_a_client_that_disables_the_arms_clears_no_stop_and_no_fault(
+    bench: Bench, wrong: float
+) -> None:
+    bench.ready()
+    start = bench.held("PSM1")
+    bench.stream("PSM1", [start[0] + wrong, *start[1:]])
+    bench.step(80)
+    latched = bench.guard.gate.latched
+    bench.command("disable")
+    bench.step(10)
+    assert {arm.operating_state for arm in bench.driver.state().arms} == {"DISABLED"}
+    for word in ("enable", "home"):
+        bench.command(word)
+        bench.step(5)
+    bench.agree()
+    assert bench.guard.gate.latched is latched
+    assert bench.guard.gate.mode not in GOING
+    bench.guard.is_reset_wanted = True
+    bench.step(2)
+    bench.agree()
+    assert bench.guard.gate.mode in GOING
+
+
 def test_a_client_that_dies_in_mid_motion_is_stopped_within_100_ms(bench: Bench) -> None:
     bench.ready()
     start = bench.held("PSM1")

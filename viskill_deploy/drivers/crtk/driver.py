@@ -93,6 +93,11 @@ class CrtkDriver:
             raise DriverError("the arms over CRTK are not connected; call connect() first")
         return self._watch
 
+    @property
+    def node(self) -> Transport:
+        """Its node on the robot's network, for who listens there too."""
+        return self._transport
+
     def connect(self) -> None:
         """Subscribes, and waits until every arm is heard; arms stay as they are.
 

@@ -86,7 +86,3 @@ class Transport(Protocol):
     def close(self) -> None:
         """Leaves the middleware; may be called twice."""
         ...
-
-
-AnyMessage = Any
-"""One of `messages`."""
