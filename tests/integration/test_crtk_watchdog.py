@@ -23,7 +23,7 @@ from viskill_deploy.safety.watchdog import DISABLE_S, LOST_S
 
 ARMS = ("PSM1", "PSM2")
 HELD_WITHIN_S = 0.1
-TRIALS = 3
+TRIALS = 8
 
 
 class Witness:
@@ -44,8 +44,8 @@ class Witness:
             hear = self.node.subscribe
             hear(f"/{arm}/operating_state", OperatingState, partial(self._state, arm), True)
             hear(f"/{arm}/setpoint_js", JointState, partial(self._setpoint, arm))
-            hear(f"/{arm}/state_command", StringStamped, partial(self._word, arm))
             hear(f"/{arm}/hold", Empty, partial(self._hold, arm))
+            hear(f"/{arm}/state_command", StringStamped, partial(self._word, arm))
 
     def _state(self, arm: str, message: OperatingState, now: float) -> None:
         if not self.states[arm] or self.states[arm][-1][1] != message.state:
@@ -110,7 +110,7 @@ def assert_held_in_time(witness: Witness, since: float) -> None:
             assert paused - since <= HELD_WITHIN_S
         assert disabled - paused >= DISABLE_S - LOST_S - 0.05
         order = [word for at, word in witness.words[arm] if at >= since]
-        assert order[0] == "hold"
+        assert "hold" in order[:2], "what comes on two topics may come in either order"
         assert set(order) == {"hold", "pause", "disable"}
         assert order.index("disable") > len(order) - 1 - order[::-1].index("pause")
 
@@ -169,7 +169,7 @@ def test_a_killed_watchdog_ends_the_run(run: tuple[RuntimeToKill, Witness]) -> N
     for arm in ARMS:
         words = [word for at, word in witness.words[arm] if at >= killed]
         assert "pause" not in words, "the gate's own stop, not the watchdog's"
-        assert words[-2:] == ["hold", "disable"]
+        assert sorted(words[-2:]) == ["disable", "hold"], "two topics, so in either order"
     data = read_recording(runtime.recording)
     first = next(verdict for verdict in data.verdicts if verdict.rule == "S26")
     date = data.origin_ns * 1e-9 + first.time_s
