@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from viskill_deploy.calibrate.truths import draw_truth
+from viskill_deploy.calibrate.truths import draw_robot
 from viskill_deploy.cli.main import app
 from viskill_deploy.core.calibration_files import calibrated, read_calibration
 from viskill_deploy.core.description import load_cell
@@ -27,10 +27,9 @@ def test_a_hidden_robot_is_measured_fitted_and_found(tmp_path: Path) -> None:
     done = RUN.invoke(app, [*fit, "--json"])
     assert done.exit_code == 0, done.output
     facts = json.loads(done.stdout)["arms"]["PSM1"]
-    truth = draw_truth(np.random.default_rng([3, 0]))
-    assert facts["parameters"]["offset_insertion_m"] == pytest.approx(
-        truth.joint_offset[2], abs=3e-3
-    )
+    truth = draw_robot(load_cell("bipegtransfer"), 3).arms["PSM1"]
+    longer = truth.joint_offset[2] + truth.tool_length_m  # no point tells them apart
+    assert facts["parameters"]["offset_insertion_m"] == pytest.approx(longer, abs=3e-3)
     assert facts["held_out_median_m"] < 1.5e-3
     assert "offset_yaw_rad" in facts["frozen"]
     calibration = read_calibration(file)
@@ -40,6 +39,21 @@ def test_a_hidden_robot_is_measured_fitted_and_found(tmp_path: Path) -> None:
     done = RUN.invoke(app, fit)
     assert "the data do not tell" in done.stdout
     assert "median" in done.stdout
+
+
+def test_a_dry_run_on_a_hidden_robot_says_which_and_sees_nothing_else_of_it(
+    tmp_path: Path,
+) -> None:
+    file, run = tmp_path / "robot.json", tmp_path / "run"
+    done = RUN.invoke(app, ["calibrate", "truth", "3", "-o", str(file)])
+    assert done.exit_code == 0, done.output
+    dry = ["dry-run", "policies/bipegtransfer-viskill", "--mode", "plan", "--no-video", "--json"]
+    done = RUN.invoke(app, [*dry, "--truth", str(file), "--output", str(run)])
+    result = json.loads(done.stdout)
+    assert result["truth"]["file"] == str(file)
+    assert result["success_rate"] == 0.0
+    assert f"{file}, {result['truth']['sha256'][:12]}" in (run / "report.html").read_text()
+    assert str(file) not in [entry["path"] for entry in result["files"]]
 
 
 def test_measurements_of_one_arm_alone_are_refused(tmp_path: Path) -> None:

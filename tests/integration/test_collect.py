@@ -11,7 +11,6 @@ from silent_recorder import SilentRecorder
 from viskill_deploy.calibrate.collect import Collected, collect
 from viskill_deploy.calibrate.measurements import load
 from viskill_deploy.calibrate.programme import choose_poses
-from viskill_deploy.calibrate.sources import SimulatedTracker, TrackerOptions
 from viskill_deploy.core.arm_errors import ArmErrors, with_errors
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import CalibrationError, SafetyStop
@@ -21,6 +20,7 @@ from viskill_deploy.motion.resolve import task_poses
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.sim.tasks.base import load_task
+from viskill_deploy.sim.tracker import SimulatedTracker, TrackerOptions
 from viskill_deploy.sim.world import WorldOptions
 
 CELL = load_cell("bipegtransfer")

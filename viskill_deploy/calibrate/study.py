@@ -26,7 +26,6 @@ from viskill_deploy.calibrate.parameters import (
     vector_of,
 )
 from viskill_deploy.calibrate.programme import choose_poses
-from viskill_deploy.calibrate.sources import SimulatedTracker, TrackerOptions
 from viskill_deploy.calibrate.truths import draw_truth
 from viskill_deploy.core.arm_errors import ArmErrors, rotation
 from viskill_deploy.core.description import CellDescription
@@ -36,6 +35,7 @@ from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.record import Recorder
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.sim.tasks.base import load_task
+from viskill_deploy.sim.tracker import SimulatedTracker, TrackerOptions
 from viskill_deploy.sim.world import WorldOptions
 
 HELD_OUT = 200

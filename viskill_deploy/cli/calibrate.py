@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,10 +21,9 @@ from viskill_deploy.calibrate.judge import judge
 from viskill_deploy.calibrate.measurements import load
 from viskill_deploy.calibrate.parameters import NAMES
 from viskill_deploy.calibrate.programme import choose_poses
-from viskill_deploy.calibrate.sources import SimulatedTracker, TrackerOptions
 from viskill_deploy.calibrate.study import Trial, figures, poses_for, study_truth
-from viskill_deploy.calibrate.truths import draw_truth
-from viskill_deploy.core.arm_errors import ArmErrors
+from viskill_deploy.calibrate.truths import draw_robot, hidden_robot
+from viskill_deploy.cli.sources import Truth
 from viskill_deploy.core.calibration_files import write_calibration
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import CalibrationError
@@ -34,6 +34,7 @@ from viskill_deploy.runtime.interrupting import interruptible
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.sim.tasks.base import load_task
+from viskill_deploy.sim.tracker import SimulatedTracker, TrackerOptions
 from viskill_deploy.sim.world import WorldOptions
 
 app = typer.Typer(
@@ -51,11 +52,14 @@ def collect_command(
     cell: CELL = "bipegtransfer",
     samples: Annotated[int, typer.Option(min=8, help="Rows of measurements an arm.")] = 300,
     seed: Annotated[int, typer.Option(min=0, help="Of poses and noise.")] = 0,
-    truth: Annotated[
-        int | None, typer.Option(help="Hide a robot with errors drawn from this seed.")
+    truth: Truth = "",
+    noise: Annotated[
+        float | None, typer.Option(min=0, help="Of the tracker, m; the truth's by default.")
     ] = None,
-    noise: Annotated[float, typer.Option(min=0, help="Of the tracker, m.")] = 0.0002,
-    outliers: Annotated[float, typer.Option(min=0, max=0.5, help="Part of wrong points.")] = 0.05,
+    outliers: Annotated[
+        float | None,
+        typer.Option(min=0, max=0.5, help="Part of wrong points; the truth's by default."),
+    ] = None,
 ) -> None:
     """Measure: the arms of the loopback visit poses through the gate, a tracker sees the tips.
 
@@ -63,21 +67,25 @@ def collect_command(
     write them as CSV and go on with `viskill calibrate fit`.
     """
     described = load_cell(cell)
-    errors: tuple[ArmErrors, ...] = ()
-    if truth is not None:
-        rng = np.random.default_rng([truth, 0])
-        errors = tuple(draw_truth(rng) for _ in described.arms)
+    hidden = hidden_robot(truth, described) if truth else None
     count = poses_for(samples)
     poses = np.stack(
         [choose_poses(described, arm, count, seed) for arm in range(len(described.arms))], axis=1
     )
-    driver = LoopbackDriver(described, WorldOptions(truth=errors), seed)
+    world, seen = WorldOptions(), TrackerOptions()
+    if hidden is not None:
+        world, seen = hidden.world(described, world), hidden.tracker(described)
+    seen = replace(
+        seen,
+        noise_m=seen.noise_m if noise is None else noise,
+        outlier_share=seen.outlier_share if outliers is None else outliers,
+    )
+    driver = LoopbackDriver(described, world, seed)
     driver.connect()
     task = load_task(cell)
     driver.reset(task.sample_layout(np.random.default_rng(seed), task.distributions[0]))
-    delays = tuple(error.delay_s for error in errors)
-    tracker = SimulatedTracker(driver.world, TrackerOptions(noise, outliers, 0.02, delays), seed)
-    programme = f"cell {cell}, {count} poses, seed {seed}, truth {truth}"
+    tracker = SimulatedTracker(driver.world, seen, seed)
+    programme = f"cell {cell}, {count} poses, seed {seed}, truth {truth or None}"
     folder.mkdir(parents=True, exist_ok=True)
     console = Console(stderr=True)
     line = Line(described, driver.period_s)
@@ -95,6 +103,18 @@ def collect_command(
         print(path)
     if found.skipped:
         console.print(f"{found.skipped} poses were left out: the gate would have stepped in.")
+
+
+@app.command("truth", epilog="Example: viskill calibrate truth 3 -o runs/robot3.json")
+def truth_command(
+    seed: Annotated[int, typer.Argument(min=0, help="What the robot's errors are drawn from.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The file to write.")],
+    cell: CELL = "bipegtransfer",
+) -> None:
+    """Write a hidden robot to a file, to be looked at, changed, and named with --truth."""
+    output.parent.mkdir(parents=True, exist_ok=True)
+    output.write_text(draw_robot(load_cell(cell), seed).text(), encoding="utf-8")
+    print(output)
 
 
 @app.command("fit", epilog="Example: viskill calibrate fit runs/points -o calibration/my_cell.json")

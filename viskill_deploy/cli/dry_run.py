@@ -12,8 +12,9 @@ import qpsolvers
 import typer
 from rich.console import Console
 
+from viskill_deploy.calibrate.truths import hidden_robot
 from viskill_deploy.cli.run_folder import new_folder, show, written_report
-from viskill_deploy.cli.sources import Calibration, Inputs, Robot, SceneFile
+from viskill_deploy.cli.sources import Calibration, Inputs, Robot, SceneFile, Truth
 from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.errors import Interrupted, RecordingError, SafetyStop, ViskillError
 from viskill_deploy.observe.recording import Recorder
@@ -65,6 +66,7 @@ def command(
     robot: Robot = "",
     calibration: Calibration = None,
     scene: SceneFile = None,
+    truth: Truth = "",
     episodes: Annotated[int, typer.Option(min=1, help="How many episodes.")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="Seed of layouts and noise.")] = 0,
     distribution: Annotated[
@@ -194,6 +196,9 @@ def command(
         jitter_s=jitter,
         stuck=stuck_joint,
     )
+    hidden = hidden_robot(truth, prepared.cell) if truth else None
+    if hidden is not None:
+        world = hidden.world(prepared.cell, world)
     options = DryRunOptions(
         episodes=episodes,
         seed=seed,
@@ -216,6 +221,8 @@ def command(
     folder = new_folder(output, prepared.name)
     console = Console(stderr=json_)
     figures, failure = _run(prepared, options, folder, console)
+    if hidden is not None:
+        figures["truth"] = hidden.about
     report = written_report(prepared.cell, figures, folder, video, console)
     show(figures, folder, report, json_, console)
     if figures["interventions"] and not isinstance(failure, Interrupted):

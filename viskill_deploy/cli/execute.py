@@ -11,8 +11,9 @@ import numpy as np
 import typer
 from rich.console import Console
 
+from viskill_deploy.calibrate.truths import hidden_robot
 from viskill_deploy.cli.run_folder import new_folder, show, written_report
-from viskill_deploy.cli.sources import Calibration, Inputs, Robot, SceneFile
+from viskill_deploy.cli.sources import Calibration, Inputs, Robot, SceneFile, Truth
 from viskill_deploy.cli.terminal import Terminal
 from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.errors import (
@@ -31,6 +32,7 @@ from viskill_deploy.runtime.execution import FIRST_SPEED, ExecuteOptions, execut
 from viskill_deploy.runtime.poses import PoseLimits, Things
 from viskill_deploy.runtime.preflight import Prepared, Sources, prepare
 from viskill_deploy.runtime.robots import RobotName, RobotOptions, connected, things_of
+from viskill_deploy.sim.world import WorldOptions
 
 EXAMPLE = (
     "Example: viskill execute policies/bipegtransfer-viskill --calibration calibration/lab.json "
@@ -128,6 +130,7 @@ def command(
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Loopback in its own process, against the clock.")
     ] = False,
+    truth: Truth = "",
     can: Annotated[
         str, typer.Option(help="CAN file, by name or path; that of the cell's name by default.")
     ] = "",
@@ -164,6 +167,8 @@ def command(
         raise typer.BadParameter(
             "--inputs: a person cannot keep up with stepped time; add --realtime"
         )
+    if truth and driver is not RobotChoice.LOOPBACK:
+        raise typer.BadParameter("--truth hides a robot in the loopback; another is as it is")
     if calibration is None:
         raise CalibrationError(
             "a run on a robot needs its calibration: name it with --calibration, or measure the "
@@ -172,6 +177,8 @@ def command(
     prepared = prepare(Sources(bundle, robot, calibration, scene, wall_time()))
     console = Console(stderr=json_)
     network = Network(domain, interface)
+    hidden = hidden_robot(truth, prepared.cell) if truth else None
+    world = hidden.world(prepared.cell, WorldOptions()) if hidden else WorldOptions()
     chosen = RobotOptions(
         driver.value,
         realtime,
@@ -180,6 +187,7 @@ def command(
         inputs=inputs,
         transport=transport.value,
         network=network,
+        world=world,
     )
     found = connected(prepared.cell, chosen)
     try:
@@ -194,6 +202,8 @@ def command(
         figures, failure = _run(prepared, options, found.driver, things, terminal, folder)
     finally:
         found.close()
+    if hidden is not None:
+        figures["truth"] = hidden.about
     report = written_report(prepared.cell, figures, folder, video, console)
     show(figures, folder, report, json_, console)
     _judge(figures, failure, report)

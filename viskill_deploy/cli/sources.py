@@ -18,6 +18,13 @@ Calibration = Annotated[Path | None, typer.Option(help="Calibration file of that
 SceneFile = Annotated[
     Path | None, typer.Option("--scene", help="Scene file: where things are, and how well known.")
 ]
+Truth = Annotated[
+    str,
+    typer.Option(
+        help="Hide a robot in the simulated cell: a seed to draw its errors from, or a file of "
+        "`viskill calibrate truth`."
+    ),
+]
 Inputs = Annotated[
     str,
     typer.Option(

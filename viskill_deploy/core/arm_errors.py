@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from pydantic import ConfigDict
 
 from viskill_deploy.core.cables import STIFF, Cables
 from viskill_deploy.core.description import ArmDescription, CellArm, CellDescription
@@ -31,6 +32,8 @@ class ArmErrors:
         cables: play and stretch of what drives the wrist.
         delay_s: how much older the joints behind a measured point are than its stamp says.
     """
+
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     base_rotation_rad: tuple[float, ...] = (0.0,) * 3
     base_translation_m: tuple[float, ...] = (0.0,) * 3

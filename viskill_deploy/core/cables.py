@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import ConfigDict
 
 from viskill_deploy.core.types import FloatArray
 
@@ -26,6 +27,8 @@ class Cables:
         backlash_rad: half the play of each joint, (3,): it lags behind by that.
         coupling: stretch, (3, 3): error of a wrist joint per reported wrist angle.
     """
+
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     backlash_rad: tuple[float, ...] = (0.0,) * 3
     coupling: tuple[tuple[float, ...], ...] = ((0.0,) * 3,) * 3

@@ -102,6 +102,7 @@ def facts(result: Result) -> list[Fact]:
     """The figures of the run, most wanted first."""
     rows: list[Fact | None] = [
         Fact("Stage", str(result["stage"]), None) if result.get("stage") else None,
+        Fact("Hidden robot", _truth(result["truth"])) if result.get("truth") else None,
         _success(result),
         _fact(result, "interventions", "Interventions", "{:d}", lambda v: v == 0),
         _fact(result, "realtime_factor", "Real-time factor", "{:.1f}×"),
@@ -114,6 +115,13 @@ def facts(result: Result) -> list[Fact]:
         _fact(result, "overruns", "Overruns", "{:d}") if result.get("real_time") else None,
     ]
     return [row for row in rows if row is not None]
+
+
+def _truth(about: Mapping[str, Any]) -> str:
+    """Where a hidden robot came from."""
+    if "seed" in about:
+        return f"drawn from seed {about['seed']}"
+    return f"{about['file']}, {about['sha256'][:12]}"
 
 
 def _success(result: Result) -> Fact | None:

@@ -39,6 +39,7 @@ class RobotOptions:
         inputs: node whose consent and emergency stop count, such as "can:pedal".
         transport: what carries CRTK.
         network: where the robot of CRTK, or the tracker, is.
+        world: what is not perfect about the simulated cell.
     """
 
     name: RobotName = "loopback"
@@ -48,6 +49,7 @@ class RobotOptions:
     inputs: str = ""
     transport: str = "auto"
     network: Network = field(default_factory=Network)
+    world: WorldOptions = field(default_factory=WorldOptions)
 
 
 @dataclass
@@ -92,7 +94,7 @@ def _connected(cell: CellDescription, options: RobotOptions) -> Robot:
         return Robot(can.connect(cell, load_can(options.can or cell.name, cell)))
     if options.name == "crtk":
         return _over_crtk(cell, options)
-    world, seed = WorldOptions(), options.seed
+    world, seed = options.world, options.seed
     return Robot(simulated_driver("loopback", cell, world, seed, options.real_time))
 
 

@@ -48,6 +48,11 @@ class WorldOptions:
         stuck: a joint that does not move, such as "PSM1/yaw"; "" for none.
         truth: what each arm really is beside its file, for calibration to find; () for as the
             files say.
+        board_translation_m, board_rotation_rad: where the board really is in the task frame, in
+            which arms are registered and things are seen.
+        object_error_m: standard deviations, along the axes, of how far from its place a thing is
+            seen; drawn whenever things are put down.
+        object_error_rad: the same of a turn about the vertical.
     """
 
     period_s: float = 0.004
@@ -65,12 +70,17 @@ class WorldOptions:
     jitter_s: float = 0.0
     stuck: str = ""
     truth: tuple[ArmErrors, ...] = ()
+    board_translation_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    board_rotation_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    object_error_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    object_error_rad: float = 0.0
 
     def __post_init__(self) -> None:
         noises = (self.joint_noise_rad, self.joint_noise_m, self.object_noise_m)
         offsets = (self.joint_offset_rad, self.joint_offset_m)
-        errors = (self.base_error_m, self.base_error_rad)
-        sizes = (*noises, *offsets, *errors, self.lag_s, self.jitter_s, self.delay_periods)
+        errors = (self.base_error_m, self.base_error_rad, self.object_error_rad)
+        times = (self.lag_s, self.jitter_s, self.delay_periods)
+        sizes = (*noises, *offsets, *errors, *self.object_error_m, *times)
         if not (0.0 < self.period_s <= 0.1 and all(size >= 0.0 for size in sizes)):
             raise ValueError(
                 "period_s must be in (0, 0.1] s; noises, errors, times and delay_periods must not "

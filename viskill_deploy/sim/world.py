@@ -27,6 +27,7 @@ from viskill_deploy.sim.imperfections import (
     displace_bases,
 )
 from viskill_deploy.sim.scene import LONGEST_STEP_S, build_model
+from viskill_deploy.sim.seeing import Seeing, seen_from_board
 from viskill_deploy.sim.things import Things, colour
 
 __all__ = ["AXES", "ArmReading", "World", "WorldOptions", "controls"]
@@ -75,6 +76,7 @@ class World:
         options: as given.
         imperfections: what lies between the driver and this world.
         drives: the arms' drives, which can break.
+        seeing: what is said of where tips and things are.
         substeps: physics steps in a control period.
         model, data: MuJoCo's, for rendering; leave writing to this class.
     """
@@ -93,13 +95,14 @@ class World:
         if len(truth) not in {0, len(names)}:
             raise ValueError(f"the truth is about {len(truth)} arms; this cell has {len(names)}")
         really = with_errors(cell, dict(zip(names, truth, strict=False)))
+        really = seen_from_board(really, self.options)
         self.model = build_model(
             really, self.options.period_s / self.substeps, self.options.joint_friction, only
         )
         displace_bases(self.model, cell, self.options, seed)
         self.data = mujoco.MjData(self.model)
         self.imperfections = Imperfections(self.options, len(cell.arms), seed, _slides(cell))
-        self.drives = Drives(self.model)
+        self.drives, self.seeing = Drives(self.model), Seeing(self.options, seed)
         if self.options.stuck:
             self.drives.stick(self.options.stuck)
         self._arms = [_ArmIndex(self.model, arm) for arm in cell.arms]
@@ -168,6 +171,7 @@ class World:
         told = start if setpoints is None else np.asarray(setpoints, dtype=np.float64)
         mujoco.mj_resetData(self.model, self.data)
         self._things.place(self.data, scene)
+        self.seeing.put_down(self.things)
         true = self.imperfections.true_axes(start)
         for index, row in zip(self._arms, true, strict=True):
             self.data.qpos[index.qpos[:-2]] = row[:-1]
@@ -225,20 +229,21 @@ class World:
     def tips(self) -> FloatArray:
         """Where the tips really are now, task frame, (arms, 3) m."""
         mujoco.mj_kinematics(self.model, self.data)  # a step leaves poses of before it
-        return np.array([self.data.site(f"{arm.name}/tip").xpos for arm in self.cell.arms])
+        tips = np.array([self.data.site(f"{arm.name}/tip").xpos for arm in self.cell.arms])
+        return self.seeing.points(tips)
 
     def scene(self) -> Scene:
-        """Where the things are, as a camera would tell, with noise where asked for."""
+        """Where the things are, as a camera would tell, with noise and error where asked for."""
         objects = []
         for name in self._things.names:
-            pose = self._things.pose(self.data, name)
+            pose = self.seeing.thing(name, self._things.pose(self.data, name))
             if self.options.object_noise_m:
                 pose[:3, 3] += self.imperfections.seen_shift()
             objects.append(ObjectPose(name, pose))
         return Scene(self.time_s, tuple(objects), self._active, self._goal)
 
     def active_object(self) -> ActiveObject:
-        """The true state of the active object."""
+        """The true state of the active object, in the board's own frame: its goal is there."""
         things, name = self._things, self._active
         partners = things.touching(self.data, name)
         touched = tuple(not index.geoms.isdisjoint(partners) for index in self._arms)
