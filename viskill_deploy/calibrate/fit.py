@@ -15,6 +15,7 @@ from viskill_deploy.calibrate.measurements import Measurements
 from viskill_deploy.calibrate.parameters import (
     BASE_ROTATION,
     BASE_TRANSLATION,
+    INSERTION,
     NAMES,
     PARAMETERS,
     USUAL,
@@ -132,6 +133,24 @@ def fit_arm(arm: CellArm, measured: Measurements, seed: int = 0) -> ArmFit:
         held_out,
         noise,
         values,
+    )
+
+
+def misfits(arm: CellArm, measured: Measurements) -> FloatArray:
+    """How far each point is from where most of them put it, (n,) m.
+
+    Base and joint 3 alone are fitted, with a robust loss: few enough for one wrong point of eight
+    to stand out.
+
+    Raises:
+        CalibrationError: the points are of no use at all, as in `fit_arm`.
+    """
+    measured.check()
+    model, free = ErrorModel(arm), np.zeros(len(NAMES), dtype=np.bool_)
+    free[BASE_ROTATION] = free[BASE_TRANSLATION] = free[INSERTION] = True
+    vector = _solve(model, _registered(model, arm, measured), free, measured, "cauchy")
+    return np.asarray(
+        np.linalg.norm(measured.points - model.points(vector, measured), axis=1), dtype=np.float64
     )
 
 

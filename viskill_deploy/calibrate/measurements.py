@@ -20,6 +20,9 @@ _POINT = ("x_m", "y_m", "z_m")
 COLUMNS = ("stamp_s", *_JOINTS, *_SPEEDS, *_TURNS, *_POINT)
 """Of the file. Speeds and turns may be left out: the delay, or the backlash, stays unknown then."""
 
+POINT_KEY = "# point_m:"
+"""A comment of a file that begins so says how far from the jaw pivot its points are, m."""
+
 FARTHEST_M = 2.0
 """A measured point further from the task frame's origin is in another unit."""
 
@@ -98,16 +101,21 @@ class Measurements:
             )
 
 
-def load(path: Path, point_m: float = 0.0) -> Measurements:
+def load(path: Path, point_m: float | None = None) -> Measurements:
     """Reads a CSV file with the columns of `COLUMNS`, in any order, others ignored.
+
+    Args:
+        path: the file.
+        point_m: from the jaw pivot to the measured points; what the file says by default, else 0.
 
     Raises:
         CalibrationError: no such file, a missing column, or an entry that is no number; names it.
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(line for line in file if not line.startswith("#"))
-            rows, header = list(reader), reader.fieldnames or []
+            lines = list(file)
+        reader = csv.DictReader(line for line in lines if not line.startswith("#"))
+        rows, header = list(reader), reader.fieldnames or []
     except (OSError, UnicodeDecodeError) as error:
         raise CalibrationError(f"{path}: cannot be read ({error}); give a CSV file") from error
     missing = [name for name in ("stamp_s", *_JOINTS, *_POINT) if name not in header]
@@ -122,6 +130,9 @@ def load(path: Path, point_m: float = 0.0) -> Measurements:
         ]
         return np.array(values, dtype=np.float64).reshape(len(rows), len(names))
 
+    stated = next((x for x in lines if x.startswith(POINT_KEY)), f"{POINT_KEY} 0.0")
+    if point_m is None:
+        point_m = _number(path, -1, POINT_KEY, stated.removeprefix(POINT_KEY))
     stamps = columns(("stamp_s",))[:, 0]
     joints, speeds = columns(_JOINTS), columns(_SPEEDS)
     return Measurements(stamps, joints, speeds, columns(_TURNS), columns(_POINT), point_m)

@@ -59,7 +59,10 @@ def choose_poses(cell: CellDescription, index: int, count: int, seed: int) -> Fl
         raise CalibrationError(
             f"{cell.arms[index].name}'s workspace leaves {len(q)} poses of {count}; ask for fewer"
         )
-    chosen = _most_telling(cell.arms[index], q, count, rng)
+    n = len(q)
+    turns = rng.choice([-1.0, 1.0], (n, 3))
+    rows = Measurements(np.arange(float(n)), q, np.zeros((n, 6)), turns, np.zeros((n, 3)))
+    chosen = most_telling(cell.arms[index], rows, count)
     return q[_tour(cell, index, q, chosen)]
 
 
@@ -108,19 +111,11 @@ def _outside(points: FloatArray, other: CellArm) -> npt.NDArray[np.bool_]:
     return np.asarray(((points < low) | (points > high)).any(axis=1))
 
 
-def _most_telling(arm: CellArm, q: FloatArray, count: int, rng: np.random.Generator) -> list[int]:
-    """Indices of poses, greedily, by what each adds to the information."""
-    n = len(q)
-    rows = Measurements(
-        np.arange(float(n)),
-        q,
-        np.zeros((n, 6)),
-        rng.choice([-1.0, 1.0], (n, 3)),
-        np.zeros((n, 3)),
-    )
+def most_telling(arm: CellArm, rows: Measurements, count: int) -> list[int]:
+    """Indices of `count` rows, greedily, by what each adds to the information."""
     _, J = ErrorModel(arm).linearised(np.zeros(len(NAMES)), rows)
     J = J * (USUAL / NOISE_M)
-    inverse, left, chosen = np.eye(len(NAMES)), np.ones(n, dtype=np.bool_), []
+    inverse, left, chosen = np.eye(len(NAMES)), np.ones(len(rows), dtype=np.bool_), []
     for _ in range(count):
         gain = np.eye(3) + np.einsum("nai,ij,nbj->nab", J, inverse, J, optimize=True)
         best = int(np.argmax(np.where(left, np.linalg.det(gain), -1.0)))

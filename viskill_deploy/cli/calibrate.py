@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import enum
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -23,10 +24,20 @@ from viskill_deploy.calibrate.parameters import NAMES
 from viskill_deploy.calibrate.programme import choose_poses
 from viskill_deploy.calibrate.study import Trial, figures, poses_for, study_truth
 from viskill_deploy.calibrate.truths import draw_robot, hidden_robot
+from viskill_deploy.cli import touching
+from viskill_deploy.cli.serve import TransportChoice
 from viskill_deploy.cli.sources import Truth
+from viskill_deploy.cli.touching import (
+    TOUCH_NOISE_M,
+    TOUCHES,
+    TouchedBy,
+    TouchedRobot,
+    collect_by_touch,
+)
 from viskill_deploy.core.calibration_files import write_calibration
-from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import CalibrationError
+from viskill_deploy.drivers.crtk.opening import Network
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.observe.calibration_report import write_calibration_report
 from viskill_deploy.observe.recording import Recorder
@@ -43,49 +54,109 @@ app = typer.Typer(
 )
 
 CELL = Annotated[str, typer.Option(help="Name of the cell, such as bipegtransfer.")]
+POINT = Annotated[
+    float | None,
+    typer.Option(
+        help="From the jaw pivot to the measured point along the tip, m. By default what the files "
+        "say, else 0."
+    ),
+]
 JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
 
 
-@app.command("collect", epilog="Example: viskill calibrate collect runs/points --truth 3")
+class Source(enum.StrEnum):
+    """How points are measured."""
+
+    TRACKER = "tracker"
+    TOUCH = "touch"
+
+
+@app.command("collect", epilog="Example: viskill calibrate collect runs/points --source touch")
 def collect_command(
     folder: Annotated[Path, typer.Argument(help="Where the measurements go, a file an arm.")],
+    source: Annotated[
+        Source,
+        typer.Option(
+            help="tracker: the loopback's arms visit poses, a simulated tracker sees their tips. "
+            "touch: a person brings the tips to points of the board, nothing is sent to any arm."
+        ),
+    ] = Source.TRACKER,
     cell: CELL = "bipegtransfer",
-    samples: Annotated[int, typer.Option(min=8, help="Rows of measurements an arm.")] = 300,
+    samples: Annotated[int, typer.Option(min=8, help="Rows of the tracker, an arm.")] = 300,
+    points: Annotated[int, typer.Option(help="Points to touch, an arm; at least 8.")] = TOUCHES,
+    driver: touching.Driver = TouchedRobot.LOOPBACK,
+    transport: touching.Transport = TransportChoice.AUTO,
+    domain: touching.Domain = None,
+    interface: touching.Interface = "",
     seed: Annotated[int, typer.Option(min=0, help="Of poses and noise.")] = 0,
     truth: Truth = "",
     noise: Annotated[
-        float | None, typer.Option(min=0, help="Of the tracker, m; the truth's by default.")
+        float | None,
+        typer.Option(
+            min=0, help="Of a coordinate, m: the tracker's (the truth's), or 0.0003 of a touch."
+        ),
     ] = None,
     outliers: Annotated[
         float | None,
-        typer.Option(min=0, max=0.5, help="Part of wrong points; the truth's by default."),
+        typer.Option(min=0, max=0.5, help="Part of wrong points: the truth's, or no touch."),
     ] = None,
+    json_: JSON = False,
 ) -> None:
-    """Measure: the arms of the loopback visit poses through the gate, a tracker sees the tips.
+    """Measure points of every arm's tip; started again, it goes on where it was.
 
-    Started again, it goes on where it was. Measurements of another tracker need no collecting:
-    write them as CSV and go on with `viskill calibrate fit`.
+    Points of another tracker need no collecting: write them as CSV and go on with
+    `viskill calibrate fit`.
     """
     described = load_cell(cell)
     hidden = hidden_robot(truth, described) if truth else None
+    if source is Source.TOUCH:
+        who = TouchedBy(
+            driver,
+            transport.value,
+            Network(domain, interface),
+            hidden,
+            TOUCH_NOISE_M if noise is None else noise,
+            outliers or 0.0,
+            seed,
+        )
+        found = collect_by_touch(described, folder, points, who)
+    else:
+        world, seen = WorldOptions(), TrackerOptions()
+        if hidden is not None:
+            world, seen = hidden.world(described, world), hidden.tracker(described)
+        seen = replace(
+            seen,
+            noise_m=seen.noise_m if noise is None else noise,
+            outlier_share=seen.outlier_share if outliers is None else outliers,
+        )
+        programme = f"cell {cell}, {poses_for(samples)} poses, seed {seed}, truth {truth or None}"
+        found = _collect_by_tracker(described, folder, samples, seed, world, seen, programme)
+    if json_:
+        print(json.dumps(found))
+        return
+    for path in found["files"].values():
+        print(path)
+
+
+def _collect_by_tracker(
+    described: CellDescription,
+    folder: Path,
+    samples: int,
+    seed: int,
+    world: WorldOptions,
+    seen: TrackerOptions,
+    programme: str,
+) -> dict[str, Any]:
+    """The arms of the loopback visit poses through the gate, a tracker sees the tips."""
     count = poses_for(samples)
     poses = np.stack(
         [choose_poses(described, arm, count, seed) for arm in range(len(described.arms))], axis=1
     )
-    world, seen = WorldOptions(), TrackerOptions()
-    if hidden is not None:
-        world, seen = hidden.world(described, world), hidden.tracker(described)
-    seen = replace(
-        seen,
-        noise_m=seen.noise_m if noise is None else noise,
-        outlier_share=seen.outlier_share if outliers is None else outliers,
-    )
     driver = LoopbackDriver(described, world, seed)
     driver.connect()
-    task = load_task(cell)
+    task = load_task(described.name)
     driver.reset(task.sample_layout(np.random.default_rng(seed), task.distributions[0]))
     tracker = SimulatedTracker(driver.world, seen, seed)
-    programme = f"cell {cell}, {count} poses, seed {seed}, truth {truth or None}"
     folder.mkdir(parents=True, exist_ok=True)
     console = Console(stderr=True)
     line = Line(described, driver.period_s)
@@ -99,10 +170,9 @@ def collect_command(
         found = collect(
             session, tracker, poses, folder, programme, lambda n: bar.update(shown, completed=n)
         )
-    for path in found.files.values():
-        print(path)
     if found.skipped:
         console.print(f"{found.skipped} poses were left out: the gate would have stepped in.")
+    return {"files": {name: str(path) for name, path in found.files.items()}}
 
 
 @app.command("truth", epilog="Example: viskill calibrate truth 3 -o runs/robot3.json")
@@ -122,9 +192,7 @@ def fit_command(
     folder: Annotated[Path, typer.Argument(help="Measurements, <arm>.csv of every arm.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The calibration to write.")],
     cell: CELL = "bipegtransfer",
-    point: Annotated[
-        float, typer.Option(help="From the jaw pivot to the measured point along the tip, m.")
-    ] = 0.0,
+    point: POINT = None,
     method: Annotated[str, typer.Option(help="How it was measured, for people.")] = "points",
     json_: JSON = False,
 ) -> None:
@@ -153,9 +221,7 @@ def report_command(
         "calibration.html"
     ),
     cell: CELL = "bipegtransfer",
-    point: Annotated[
-        float, typer.Option(help="From the jaw pivot to the measured point along the tip, m.")
-    ] = 0.0,
+    point: POINT = None,
 ) -> None:
     """Show a fit: residuals before and after, what the data tell, what to expect at the pegs."""
     described = load_cell(cell)
