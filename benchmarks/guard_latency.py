@@ -39,6 +39,7 @@ RATE_HZ, SWING_RAD, SWING_S = 200.0, 0.05, 4.0
 JOINTS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
 ARMS = ("PSM1", "PSM2")
 PATIENCE_S = 180.0
+KEPT = 32
 
 
 class Client:
@@ -59,8 +60,8 @@ class Client:
                 is_latched=True,
             )
         node.subscribe("/guarded/PSM1/setpoint_js", JointState, self._hear_start)
-        node.subscribe("/PSM1/servo_jp", JointState, self._hear_robot)
-        node.subscribe("/direct/servo_jp", JointState, self._hear_direct)
+        node.subscribe("/PSM1/servo_jp", JointState, self._hear_robot, kept=KEPT)
+        node.subscribe("/direct/servo_jp", JointState, self._hear_direct, kept=KEPT)
         self._commands = {
             arm: node.publisher(f"/guarded/{arm}/state_command", StringStamped) for arm in ARMS
         }

@@ -117,6 +117,29 @@ def test_words_in_quick_succession_are_all_heard_when_they_are_latched(
     other.close()
 
 
+def test_what_comes_to_a_busy_ear_waits_as_far_as_it_is_kept(node: Transport, name: str) -> None:
+    other = open_transport(name, Network(DOMAIN, LOOPBACK))
+    publish, go, heard = node.publisher("/PSM1/servo_jp", JointState), threading.Event(), []
+
+    def busy(word: JointState, received_s: float) -> None:
+        heard.append(word.position)
+        go.wait(DISCOVERY_S)
+
+    other.subscribe("/PSM1/servo_jp", JointState, busy, kept=8)
+    wait_until(lambda: node.peers("/PSM1/servo_jp") == 1)
+    words = [(float(number),) for number in range(6)]
+    publish(JointState(position=words[0]))
+    wait_until(lambda: len(heard) == 1)
+    for position in words[1:]:
+        publish(JointState(position=position))
+        time.sleep(0.02)
+    assert len(heard) == 1
+    go.set()
+    wait_until(lambda: len(heard) == len(words))
+    assert heard == words
+    other.close()
+
+
 def test_peers_counts_who_is_there_and_forgets_who_has_left(node: Transport, name: str) -> None:
     topic = crtk_samples.TOPICS[0]
     there = f"/there/{topic.name}"

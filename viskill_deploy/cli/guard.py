@@ -13,7 +13,9 @@ import typer
 
 from viskill_deploy.cli.run_folder import new_folder
 from viskill_deploy.cli.serve import TransportChoice
+from viskill_deploy.cli.sources import Calibration
 from viskill_deploy.core import realtime
+from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.types import Mode, Verdict
 from viskill_deploy.drivers.crtk.driver import CrtkDriver, CrtkOptions
@@ -24,6 +26,7 @@ from viskill_deploy.observe.labels import action_label, rule_label
 from viskill_deploy.observe.recording import Recorder
 from viskill_deploy.runtime.guard import Guard, GuardCounts
 from viskill_deploy.runtime.interrupting import interruptible
+from viskill_deploy.runtime.preflight import calibrated_cell
 
 EXAMPLE = "Example: viskill guard --cell bipegtransfer --transport ros2 --prefix guarded"
 
@@ -32,6 +35,7 @@ def command(
     cell: Annotated[
         str, typer.Option(help="Cell of the robot: a name in robots/cells, or a TOML file's path.")
     ] = "bipegtransfer",
+    calibration: Calibration = None,
     transport: Annotated[
         TransportChoice, typer.Option(help="What the robot speaks.")
     ] = TransportChoice.AUTO,
@@ -58,7 +62,9 @@ def command(
     """
     if not prefix.strip("/"):
         raise typer.BadParameter("clients need a name that the robot does not have; give --prefix")
-    described = load_cell(cell)
+    found = calibrated_cell(load_cell(cell), calibration, wall_time())
+    described = found.value
+    print(f"calibration:  {found.text}", flush=True)
     network = Network(domain, interface, "viskill_guard")
     driver = connect(described, transport.value, network, CrtkOptions(period_s=1.0 / rate))
     with contextlib.ExitStack() as opened:

@@ -241,6 +241,7 @@ class Guard:
             self._stream.begin(tuple(map(_held, state.arms)))
             self._delivery.begin()
             self._is_armed, self._halt = True, ""
+            self._told, self._told_mode = set(), self.gate.mode  # what was before is past
             self._wants_on = self._is_stopping = self._at_rest = False
 
     def _go_on(self, state: CellState, now: float) -> None:

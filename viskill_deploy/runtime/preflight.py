@@ -139,7 +139,7 @@ def look_at_files(checklist: Checklist, sources: Sources) -> Prepared | None:
     if pair is None:
         return None
     nominal, task = pair
-    look = partial(_calibration, nominal, sources.calibration, sources.date_s)
+    look = partial(calibrated_cell, nominal, sources.calibration, sources.date_s)
     cell = checklist.look("calibration", "S27", look) or nominal
     if cell is not nominal:
         task = load_task(task.name, cell)
@@ -179,7 +179,17 @@ def _robot(bundle: Bundle, robot: str) -> Found[tuple[CellDescription, Task]]:
     return Found((cell, task), "; ".join([arms, *shadowing]), warns=bool(shadowing))
 
 
-def _calibration(cell: CellDescription, path: Path | None, now: float) -> Found[CellDescription]:
+def calibrated_cell(cell: CellDescription, path: Path | None, now: float) -> Found[CellDescription]:
+    """The cell as a calibration has it, which has to be young and fine enough.
+
+    Args:
+        cell: as its file has it.
+        path: of the calibration; None where there is none.
+        now: Unix time, by which it ages.
+
+    Raises:
+        CalibrationError: it is wrong, too old, too coarse or another cell's; or it is missing.
+    """
     if path is None:
         if is_simulated(cell):
             return Found(cell, "none, and simulated arms need none")

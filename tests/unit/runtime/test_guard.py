@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from math import cos, nan, pi, sin
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from calibrations import calibration_of
 from silent_recorder import SilentRecorder
 
-from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.calibration_files import calibrated
+from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.types import Mode, Verdict
 from viskill_deploy.drivers.crtk.inproc import Inproc
 from viskill_deploy.drivers.crtk.messages import (
@@ -25,6 +28,7 @@ from viskill_deploy.drivers.crtk.messages import (
     Time,
 )
 from viskill_deploy.drivers.crtk.simulated import SteppedCrtk
+from viskill_deploy.motion.links import CellLinks
 from viskill_deploy.runtime.guard import Guard
 from viskill_deploy.sim.tasks.base import load_task
 from viskill_deploy.sim.world import WorldOptions
@@ -33,6 +37,7 @@ CELL = load_cell("bipegtransfer")
 PERIOD_S = 0.005
 GOING = (Mode.ARMED, Mode.RUNNING)
 ARMS = ("PSM1", "PSM2")
+SIDEWAYS = np.array([0.0, 0.004, 0.0])
 JOINTS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
 
 
@@ -90,8 +95,9 @@ class Bench:
 
 
 @pytest.fixture
-def bench() -> Iterator[Bench]:
-    driver = SteppedCrtk(CELL, WorldOptions(period_s=PERIOD_S))
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    cell = getattr(request, "param", CELL)
+    driver = SteppedCrtk(cell, WorldOptions(period_s=PERIOD_S))
     driver.connect()
     driver.reset(load_task("bipegtransfer").sample_layout(np.random.default_rng(0), "reference"))
     client = Inproc(driver.exchange)
@@ -100,7 +106,7 @@ def bench() -> Iterator[Bench]:
     def tell(verdicts: Sequence[Verdict], mode: Mode) -> None:
         bench.told.append((tuple(v.rule for v in verdicts), mode))
 
-    guard = Guard(CELL, driver, Inproc(driver.exchange), SilentRecorder(), tell=tell)
+    guard = Guard(cell, driver, Inproc(driver.exchange), SilentRecorder(), tell=tell)
     out = {}
     for arm in ARMS:
         for name, kind in (
@@ -238,6 +244,10 @@ def test_a_nan_is_refused_and_only_a_person_clears_it(bench: Bench) -> None:
     bench.step(2)
     bench.agree()
     assert bench.guard.gate.mode in GOING
+    bench.told.clear()
+    bench.stream("PSM1", [nan, *start[1:]])
+    bench.step(2)
+    assert any("S01" in rules for rules, _ in bench.told), "people are told of every fault anew"
 
 
 @pytest.mark.parametrize("wrong", [nan, 28 * pi / 180])
@@ -344,6 +354,34 @@ def test_poses_pass_as_joints(bench: Bench) -> None:
         bench.step()
     assert bench.guard.gate.mode is Mode.RUNNING
     assert bench.held("PSM1") == pytest.approx(before, abs=1e-3)
+
+
+def moved(cell: CellDescription) -> CellDescription:
+    """The cell as a calibration has it that found its arms 4 mm to the side."""
+    file = calibration_of(cell)
+    arms = []
+    for arm in file.arms:
+        T = np.array(arm.T_task_base)
+        T[:3, 3] += SIDEWAYS
+        arms.append(arm.model_copy(update={"T_task_base": T.tolist()}))
+    return calibrated(cell, file.model_copy(update={"arms": tuple(arms)}), Path("lab.json"))
+
+
+@pytest.mark.parametrize("bench", [moved(CELL)], indirect=True)
+def test_poses_and_the_gate_follow_the_calibration(bench: Bench) -> None:
+    bench.ready()
+    bench.step(5)
+    state, here = bench.driver.state(), bench.poses["PSM1"].pose.position
+    nominal = CellLinks(CELL).tips([arm.measured_jp for arm in state.arms])[0][:3, 3]
+    assert (here.x, here.y, here.z) == pytest.approx(nominal + SIDEWAYS, abs=1e-4)
+    before = bench.held("PSM1")
+    head = Header(Time.of_ns(bench.client.stamp_ns()))
+    bench.out["PSM1/servo_cp"](PoseStamped(head, bench.poses["PSM1"].pose))
+    bench.step(3)
+    assert bench.held("PSM1") == pytest.approx(before, abs=1e-3), "it is asked to stay"
+    chain = bench.guard.gate.envelope.arms[0].chain
+    point = chain.points(state.arms[0].measured_jp)[0]
+    assert point == pytest.approx(nominal + SIDEWAYS, abs=1e-9), "the gate's, too"
 
 
 def test_what_the_guard_does_not_pass_is_refused_in_words(bench: Bench) -> None:

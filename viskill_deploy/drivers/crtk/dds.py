@@ -125,9 +125,10 @@ class Dds:
         message: type[M],
         hear: Callable[[M, float], None],
         is_latched: bool = False,
+        kept: int = 1,
     ) -> None:
         """Calls `hear` from this node's thread for all that comes."""
-        reader = DataReader(self._node, self._topic(topic, message), _qos(is_latched))
+        reader = DataReader(self._node, self._topic(topic, message), _qos(is_latched, kept))
         ear = _Ear(topic, reader, decoder(message), hear)
         self._opened.ears.setdefault(topic, []).append(ear)
         self._set.attach(ReadCondition(reader, SampleState.Any | ViewState.Any | InstanceState.Any))
@@ -198,14 +199,14 @@ class Dds:
                 hand_over(ear.topic, sample.data, ear.decode, ear.hear, now)
 
 
-def _qos(is_latched: bool) -> Qos:
+def _qos(is_latched: bool, kept: int = 1) -> Qos:
     """As dVRK's bridge has it: RELIABLE, the newest only, but for events all that fits."""
-    kept = Policy.History.KeepLast(EVENTS_KEPT if is_latched else 1)
+    history = Policy.History.KeepLast(EVENTS_KEPT if is_latched else kept)
     lasting = Policy.Durability.TransientLocal if is_latched else Policy.Durability.Volatile
     return Qos(
         Policy.Reliability.Reliable(max_blocking_time=0),
         lasting,
-        kept,
+        history,
         Policy.DurabilityService(0, Policy.History.KeepLast(1), -1, -1, -1),
         Policy.DataRepresentation(use_cdrv0_representation=True),
     )

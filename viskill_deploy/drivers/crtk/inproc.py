@@ -96,8 +96,10 @@ class Inproc:
         message: type[M],
         hear: Callable[[M, float], None],
         is_latched: bool = False,
+        kept: int = 1,
     ) -> None:
-        """Calls `hear` for all that comes, and at once with what is latched."""
+        """Calls `hear` for all that comes, and at once with what is latched; nothing waits."""
+        del kept
         line = self._exchange.line(topic, message)
         line.ears.append((self, hear))
         if is_latched and line.latched is not None:

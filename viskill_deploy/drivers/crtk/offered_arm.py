@@ -202,9 +202,10 @@ class OfferedArm:
         hear = self._transport.subscribe
         hear(self._name("state_command"), StringStamped, self._hear_command)
         hear(self._name("hold"), Empty, self._hear_hold)
-        hear(self._name("servo_jp"), JointState, partial(self._hear_joints, self.servo, 6))
-        hear(self._name("servo_cp"), PoseStamped, self._hear_pose)
-        hear(self._name("jaw/servo_jp"), JointState, partial(self._hear_joints, self.jaw, 1))
+        servo = partial(hear, kept=MOST)  # two that come at once are two of the client's periods
+        servo(self._name("servo_jp"), JointState, partial(self._hear_joints, self.servo, 6))
+        servo(self._name("servo_cp"), PoseStamped, self._hear_pose)
+        servo(self._name("jaw/servo_jp"), JointState, partial(self._hear_joints, self.jaw, 1))
         for name in REFUSED:
             hear(self._name(name), topic(name).message, partial(self._hear_refused, name))
 

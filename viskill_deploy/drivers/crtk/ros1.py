@@ -74,6 +74,7 @@ class Ros1:
         message: type[M],
         hear: Callable[[M, float], None],
         is_latched: bool = False,
+        kept: int = 1,
     ) -> None:
         """Calls `hear` for all that comes, never two at a time."""
         self._check(topic, message)
@@ -86,7 +87,7 @@ class Ros1:
                     hand_over(topic, sample, convert, hear, now)
 
         ear = rospy.Subscriber(
-            topic, ros1_class(message), arrive, tcp_nodelay=True, queue_size=_kept(is_latched)
+            topic, ros1_class(message), arrive, tcp_nodelay=True, queue_size=_kept(is_latched, kept)
         )
         self._ears[topic] = ear
         self._ends.append(ear.unregister)
@@ -134,9 +135,9 @@ class Ros1:
             raise DriverError(f"{topic} carries {carried.__name__}, not {message.__name__}")
 
 
-def _kept(is_latched: bool) -> int:
+def _kept(is_latched: bool, kept: int = 1) -> int:
     """As dVRK's bridge has it: the newest only, but for events all that fits."""
-    return EVENTS_KEPT if is_latched else 1
+    return EVENTS_KEPT if is_latched else kept
 
 
 def _join(node: str, interface: str) -> None:

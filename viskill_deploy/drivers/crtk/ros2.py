@@ -103,6 +103,7 @@ class Ros2:
         message: type[M],
         hear: Callable[[M, float], None],
         is_latched: bool = False,
+        kept: int = 1,
     ) -> None:
         """Calls `hear` from this node's thread for all that comes."""
         self._check(topic, message)
@@ -113,7 +114,7 @@ class Ros2:
 
         kind = _class(message)
         ear = self._node.create_subscription(
-            kind, topic, arrive, _qos(is_latched), raw=True, event_callbacks=NO_EVENTS[0]
+            kind, topic, arrive, _qos(is_latched, kept), raw=True, event_callbacks=NO_EVENTS[0]
         )
         self._ears.setdefault(topic, []).append(ear)
         self._listener.add(ear, kind, arrive)
@@ -193,12 +194,12 @@ def _class(message: type[Any], folder: str = "msg") -> Any:
     return getattr(importlib.import_module(f"{package}.{folder}"), name)
 
 
-def _qos(is_latched: bool) -> Any:
+def _qos(is_latched: bool, kept: int = 1) -> Any:
     """As dVRK's bridge has it: RELIABLE, the newest only, but for events all that fits."""
     lasting = DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=EVENTS_KEPT if is_latched else 1,
+        depth=EVENTS_KEPT if is_latched else kept,
         reliability=ReliabilityPolicy.RELIABLE,
         durability=lasting,
     )

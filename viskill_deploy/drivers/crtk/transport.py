@@ -61,8 +61,13 @@ class Transport(Protocol):
         message: type[M],
         hear: Callable[[M, float], None],
         is_latched: bool = False,
+        kept: int = 1,
     ) -> None:
         """Calls `hear(message, received_s)`, perhaps in another thread, for all that comes.
+
+        Of what comes while this thread is busy the newest `kept` are heard, oldest first; of what
+        is latched, `EVENTS_KEPT`. How many is this side's own business: publishers match or not
+        whatever it is.
 
         `received_s` is the machine's monotonic clock at the arrival (the clock given, in process).
         `hear` must be quick and raise nothing.

@@ -1,0 +1,41 @@
+"""`viskill guard` at the command line: what it insists on before it connects to anything."""
+
+from pathlib import Path
+
+import pytest
+from calibrations import write_fresh
+from typer.testing import CliRunner
+
+from viskill_deploy.cli.main import app
+from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.errors import CalibrationError
+
+DAY_S = 86_400.0
+
+
+def refusal(*arguments: str) -> str:
+    run = CliRunner().invoke(app, ["guard", *arguments])
+    assert isinstance(run.exception, CalibrationError)
+    assert run.exception.exit_code == 3
+    return str(run.exception)
+
+
+def test_an_old_calibration_is_refused(tmp_path: Path) -> None:
+    old = write_fresh(tmp_path / "cell.json", load_cell("bipegtransfer"), 40.0 * DAY_S)
+    assert "calibrate the cell again" in refusal("--calibration", str(old))
+
+
+def test_a_calibration_of_another_cell_is_refused(tmp_path: Path) -> None:
+    other = write_fresh(tmp_path / "cell.json", load_cell("matchboardpanel"))
+    assert "not 'bipegtransfer'" in refusal("--calibration", str(other))
+
+
+def test_arms_with_serial_numbers_need_their_calibration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = Path(load_cell("bipegtransfer").files[0]).read_text(encoding="utf-8")
+    for number, name in (("100001", "PSM1"), ("100002", "PSM2")):
+        text = text.replace(f'name = "{name}"', f'name = "{name}"\nserial = "{number}"')
+    lab = tmp_path / "lab.toml"
+    lab.write_text(text, encoding="utf-8")
+    assert "--calibration" in refusal("--cell", str(lab))
