@@ -47,9 +47,10 @@ class Ears:
         message: type[M],
         hear: Callable[[M, float], None],
         is_latched: bool = False,
+        kept: int = 1,
     ) -> None:
         """Hears a topic."""
-        self._node.subscribe(topic, message, hear, is_latched)
+        self._node.subscribe(topic, message, hear, is_latched, kept)
 
     def serve(
         self, name: str, request: type[Q], response: type[R], answer: Callable[[Q], R]
