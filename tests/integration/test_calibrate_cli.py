@@ -68,12 +68,14 @@ def test_a_study_goes_on_where_it_was(tmp_path: Path) -> None:
     done = RUN.invoke(app, [*study, "--truths", "1"])
     assert done.exit_code == 0, done.output
     first = trials.read_text()
-    trials.write_text(first + '[{"truth": [0.1,')  # cut off while it was written
+    trials.write_text(first + '{"tracker": [{"truth": [0.1,')  # cut off while it was written
     done = RUN.invoke(app, [*study, "--truths", "1"])
     assert done.exit_code == 0, done.output
     result = json.loads(done.stdout)
     assert result["truths"] == 1
     assert result["arms"] == 2
     assert result["tip_error_median_m"] < result["uncalibrated_tip_error_median_m"]
+    assert result["touch"]["tip_error_median_m"] < result["uncalibrated_tip_error_median_m"]
+    assert result["touch"]["samples_median"] == 12
     other = RUN.invoke(app, [*study, "--seed", "9"])
     assert isinstance(other.exception, CalibrationError)

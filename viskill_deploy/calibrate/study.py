@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ import pinocchio as pin
 
 from viskill_deploy.calibrate.collect import MOVING_EVERY, collect
 from viskill_deploy.calibrate.error_model import ErrorModel
-from viskill_deploy.calibrate.fit import ArmFit, fit_arm
+from viskill_deploy.calibrate.fit import fit_arm
+from viskill_deploy.calibrate.landmarks import Landmark, board_landmarks, choose_landmarks
 from viskill_deploy.calibrate.measurements import Measurements, load
 from viskill_deploy.calibrate.parameters import (
     BASE_ROTATION,
@@ -26,9 +28,11 @@ from viskill_deploy.calibrate.parameters import (
     vector_of,
 )
 from viskill_deploy.calibrate.programme import choose_poses
-from viskill_deploy.calibrate.truths import draw_truth
+from viskill_deploy.calibrate.simulated_hand import HandOptions, SimulatedHand
+from viskill_deploy.calibrate.touching import touch
+from viskill_deploy.calibrate.truths import ENCODER_M, ENCODER_RAD, draw_truth
 from viskill_deploy.core.arm_errors import ArmErrors, rotation
-from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.description import CellArm, CellDescription
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.runtime.line import Line
@@ -83,56 +87,99 @@ def poses_for(samples: int) -> int:
     return samples * MOVING_EVERY // (MOVING_EVERY + 1)
 
 
-def study_truth(
-    cell: CellDescription,
-    number: int,
-    seed: int,
-    samples: int,
-    record: Callable[[Path, float], AbstractContextManager[Recorder]],
-) -> list[Trial]:
-    """Hides a robot, measures it through the gate, fits it and compares.
+@dataclass(frozen=True)
+class Study:
+    """What is studied.
 
-    Args:
+    Attributes:
         cell: nominal cell; the task of the same name gives the scene.
-        number: of the truth.
-        seed: of the study.
-        samples: rows of measurements an arm.
-        record: makes the session's recorder, given a folder and the control period.
-
-    Raises:
-        SafetyStop: the gate stepped in.
-        CalibrationError: the measurements could not be fitted.
+        seed: of truths, poses and noise.
+        samples: rows of a tracker's measurements an arm.
+        points: points that each arm touches instead.
     """
-    rng = np.random.default_rng([seed, number])
-    truth = tuple(draw_truth(rng) for _ in cell.arms)
-    count = poses_for(samples)
-    arms = range(len(cell.arms))
-    chosen = [choose_poses(cell, index, count, seed + number) for index in arms]
-    driver = LoopbackDriver(cell, WorldOptions(truth=truth), seed + number)
-    driver.connect()
-    task = load_task(cell.name)
-    driver.reset(task.sample_layout(rng, task.distributions[0]))
-    options = TrackerOptions(delay_s=tuple(errors.delay_s for errors in truth))
-    tracker = SimulatedTracker(driver.world, options, seed + number)
-    with tempfile.TemporaryDirectory(prefix="viskill-study-") as folder:
-        line, points = Line(cell, driver.period_s), Path(folder) / "points"
+
+    cell: CellDescription
+    seed: int
+    samples: int
+    points: int
+
+    def truth(
+        self,
+        number: int,
+        record: Callable[[Path, float], AbstractContextManager[Recorder]],
+    ) -> dict[str, list[Trial]]:
+        """Hides a robot, measures it in both ways, fits it and compares.
+
+        Args:
+            number: of the truth.
+            record: makes the session's recorder, given a folder and the control period.
+
+        Returns:
+            A trial an arm, by how it was measured.
+
+        Raises:
+            SafetyStop: the gate stepped in.
+            CalibrationError: the measurements could not be fitted.
+        """
+        rng = np.random.default_rng([self.seed, number])
+        truth = tuple(draw_truth(rng) for _ in self.cell.arms)
+        fresh = [_unseen(self.cell, index, rng) for index in range(len(self.cell.arms))]
+        found = dict[str, list[Trial]]()
+        with tempfile.TemporaryDirectory(prefix="viskill-study-") as folder:
+            for way in ("tracker", "touch"):
+                points = Path(folder) / way
+                if way == "tracker":
+                    with_recorder = partial(record, Path(folder) / "recording")
+                    self._track(number, truth, rng, points, with_recorder)
+                else:
+                    self._touch(number, truth, points)
+                found[way] = [
+                    _trial(arm, errors, load(points / f"{arm.name}.csv"), self.seed, unseen)
+                    for arm, errors, unseen in zip(self.cell.arms, truth, fresh, strict=True)
+                ]
+        return found
+
+    def _track(
+        self,
+        number: int,
+        truth: tuple[ArmErrors, ...],
+        rng: np.random.Generator,
+        folder: Path,
+        record: Callable[[float], AbstractContextManager[Recorder]],
+    ) -> None:
+        """The arms visit poses through the gate, a tracker sees their tips."""
+        cell, dice = self.cell, self.seed + number
+        count = poses_for(self.samples)
+        chosen = [choose_poses(cell, index, count, dice) for index in range(len(cell.arms))]
+        driver = LoopbackDriver(cell, WorldOptions(truth=truth), dice)
+        driver.connect()
+        task = load_task(cell.name)
+        driver.reset(task.sample_layout(rng, task.distributions[0]))
+        options = TrackerOptions(delay_s=tuple(errors.delay_s for errors in truth))
+        tracker = SimulatedTracker(driver.world, options, dice)
         with (
-            record(Path(folder) / "recording", driver.period_s) as recorder,
-            Session(cell, driver, line, recorder) as session,
+            record(driver.period_s) as recorder,
+            Session(cell, driver, Line(cell, driver.period_s), recorder) as session,
         ):
-            found = collect(session, tracker, np.stack(chosen, axis=1), points, "study")
-        rows = [load(found.files[arm.name]) for arm in cell.arms]
-    return [
-        _trial(cell, index, truth[index], fit_arm(cell.arms[index], rows[index], seed), rng)
-        for index in arms
-    ]
+            collect(session, tracker, np.stack(chosen, axis=1), folder, "study")
+
+    def _touch(self, number: int, truth: tuple[ArmErrors, ...], folder: Path) -> None:
+        """A person touches points of the board."""
+        noisy = WorldOptions(truth=truth, joint_noise_rad=ENCODER_RAD, joint_noise_m=ENCODER_M)
+        hand = SimulatedHand(self.cell, noisy, HandOptions(), self.seed + number)
+        touch(self.cell, hand, hand, self._marks, folder)
+
+    @cached_property
+    def _marks(self) -> list[tuple[Landmark, ...]]:
+        marks = board_landmarks(self.cell)
+        arms = range(len(self.cell.arms))
+        return [choose_landmarks(self.cell, index, marks, self.points) for index in arms]
 
 
 def _trial(
-    cell: CellDescription, index: int, truth: ArmErrors, fit: ArmFit, rng: np.random.Generator
+    arm: CellArm, truth: ArmErrors, measured: Measurements, seed: int, fresh: Measurements
 ) -> Trial:
-    fresh = _unseen(cell, index, rng)
-    model = ErrorModel(cell.arms[index])
+    fit, model = fit_arm(arm, measured, seed), ErrorModel(arm)
     true = model.points(vector_of(truth), fresh)
     return Trial(
         vector_of(truth),

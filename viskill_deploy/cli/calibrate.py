@@ -22,7 +22,7 @@ from viskill_deploy.calibrate.judge import judge
 from viskill_deploy.calibrate.measurements import load
 from viskill_deploy.calibrate.parameters import NAMES
 from viskill_deploy.calibrate.programme import choose_poses
-from viskill_deploy.calibrate.study import Trial, figures, poses_for, study_truth
+from viskill_deploy.calibrate.study import Study, Trial, figures, poses_for
 from viskill_deploy.calibrate.truths import draw_robot, hidden_robot
 from viskill_deploy.cli import touching
 from viskill_deploy.cli.serve import TransportChoice
@@ -239,40 +239,39 @@ def study_command(
     seed: Annotated[int, typer.Option(min=0, help="Of truths, poses and noise.")] = 0,
     cell: CELL = "bipegtransfer",
     samples: Annotated[int, typer.Option(min=8, help="Rows of measurements an arm.")] = 300,
+    points: Annotated[int, typer.Option(min=8, help="Points that an arm touches.")] = TOUCHES,
     output: Annotated[
         Path | None, typer.Option(help="File of trials; started again it goes on there.")
     ] = None,
     json_: JSON = False,
 ) -> None:
-    """Hide robots, calibrate each through the gate, and say how near that comes to the truth."""
+    """Hide robots, calibrate each by a tracker and by touch, and say how near that comes."""
     described = load_cell(cell)
-    title = {"cell": cell, "seed": seed, "samples": samples}
+    study = Study(described, seed, samples, points)
+    title = {"cell": cell, "seed": seed, "samples": samples, "points": points}
     rows = _rows(output, title)
     with Progress(console=Console(stderr=True)) as bar:
         shown = bar.add_task("truths", total=truths, completed=len(rows))
         for number in range(len(rows), truths):
-            trials = study_truth(
-                described,
-                number,
-                seed,
-                samples,
-                lambda path, period_s: Recorder(path, described, period_s),
-            )
-            row = [trial.row() for trial in trials]
+            found = study.truth(number, lambda path, period: Recorder(path, described, period))
+            row = {way: [trial.row() for trial in trials] for way, trials in found.items()}
             rows.append(row)
             if output is not None:
                 with output.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(row) + "\n")
             bar.update(shown, completed=len(rows))
-    result = title | {"truths": len(rows)} | figures([Trial.of(t) for row in rows for t in row])
+    tracked, touched = (
+        figures([Trial.of(trial) for row in rows for trial in row[way]])
+        for way in ("tracker", "touch")
+    )
     if json_:
-        print(json.dumps(result))
+        print(json.dumps(title | {"truths": len(rows)} | tracked | {"touch": touched}))
         return
     table = Table(title=f"{len(rows)} hidden robots")
-    for column in ("figure", "value"):
+    for column in ("figure", "tracker", "touch"):
         table.add_column(column)
-    for name, value in result.items():
-        table.add_row(name, f"{value:.4g}" if isinstance(value, float) else str(value))
+    for name, value in tracked.items():
+        table.add_row(name, f"{value:.4g}", f"{touched[name]:.4g}")
     Console().print(table)
 
 
@@ -285,7 +284,7 @@ def _free(path: Path) -> Path:
     return path
 
 
-def _rows(output: Path | None, title: dict[str, Any]) -> list[list[dict[str, Any]]]:
+def _rows(output: Path | None, title: dict[str, Any]) -> list[dict[str, list[dict[str, Any]]]]:
     """Trials that are there already."""
     if output is None:
         return []
@@ -296,7 +295,7 @@ def _rows(output: Path | None, title: dict[str, Any]) -> list[list[dict[str, Any
     first, *rest = output.read_text(encoding="utf-8").splitlines()
     if json.loads(first) != title:
         raise CalibrationError(f"{output}: holds another study, {first}; name another file")
-    return [json.loads(line) for line in rest if line.endswith("]")]
+    return [json.loads(line) for line in rest if line.endswith("]}")]
 
 
 def _facts(fits: dict[str, ArmFit]) -> dict[str, Any]:
