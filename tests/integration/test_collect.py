@@ -25,6 +25,7 @@ from viskill_deploy.sim.world import WorldOptions
 
 CELL = load_cell("bipegtransfer")
 COUNT = 10
+PERIOD_S = 0.01
 POSES = np.stack([choose_poses(CELL, arm, COUNT, seed=0) for arm in range(2)], axis=1)
 CLEAN = TrackerOptions(noise_m=0.0, outlier_share=0.0)
 
@@ -49,7 +50,7 @@ def _collect(
     poses: FloatArray = POSES,
     programme: str = "seed 0",
 ) -> Collected:
-    driver = LoopbackDriver(CELL, WorldOptions(truth=truth))
+    driver = LoopbackDriver(CELL, WorldOptions(PERIOD_S, truth=truth))
     driver.connect()
     driver.reset(load_task("bipegtransfer").sample_layout(np.random.default_rng(0), "reference"))
     source = Interrupting(driver.world, options)
@@ -86,7 +87,7 @@ def test_the_delay_of_a_tracker_shows_on_the_move_alone(tmp_path: Path) -> None:
 
 def test_a_collection_that_was_cut_off_goes_on_where_it_was(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        _collect(tmp_path, looks=1200)
+        _collect(tmp_path, looks=480)
     kept = load(tmp_path / "PSM1.csv")
     assert 2 <= len(kept) < COUNT
     with (tmp_path / "PSM1.csv").open("a") as file:
@@ -111,7 +112,7 @@ def test_poses_that_the_gate_would_refuse_are_left_out(tmp_path: Path) -> None:
 
 
 def test_a_gate_that_steps_in_ends_it_and_what_was_measured_stays(tmp_path: Path) -> None:
-    driver = LoopbackDriver(CELL)
+    driver = LoopbackDriver(CELL, WorldOptions(PERIOD_S))
     driver.connect()
     driver.reset(load_task("bipegtransfer").sample_layout(np.random.default_rng(0), "reference"))
 
@@ -121,7 +122,7 @@ def test_a_gate_that_steps_in_ends_it_and_what_was_measured_stays(tmp_path: Path
         def look(self, now: float) -> None:
             super().look(now)
             self.looks += 1
-            if self.looks == 1200:
+            if self.looks == 480:
                 driver.say(estop=True)
 
     line = Line(CELL, driver.period_s)

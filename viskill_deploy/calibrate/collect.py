@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import math
-import os
-import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from viskill_deploy.calibrate import measurements
+from viskill_deploy.calibrate.books import Book
 from viskill_deploy.calibrate.measurements import Measurements
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.errors import CalibrationError, MotionError, SafetyStop
+from viskill_deploy.core.errors import MotionError, SafetyStop
 from viskill_deploy.core.types import CellState, FloatArray
 from viskill_deploy.kinematics.model import tip_positions
 from viskill_deploy.motion.plan import smooth
 from viskill_deploy.motion.resolve import waypoint_at
+from viskill_deploy.runtime.approach import approach
+from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.moves import axes_of
+from viskill_deploy.runtime.operator import Operator
 from viskill_deploy.runtime.planning import Plan
 from viskill_deploy.runtime.session import Session
 
@@ -41,6 +43,14 @@ STEP_RAD = 0.4
 """Largest joint motion in one policy step: a wrist that turns at its full speed would swing the arm
 behind it beyond its jerk limit."""
 
+STALE_S = 0.15
+"""A point that was seen longer ago is none: the arms were elsewhere."""
+
+PAST = 60
+"""Control periods that are looked back on: more than `STALE_S`."""
+
+AGAIN = "what was measured is kept, put the cause right and start again"
+
 LOT = 8
 """Poses that are planned and rehearsed together."""
 
@@ -52,11 +62,11 @@ class PointSource(Protocol):
         """Called in every control period, for sources that have to keep up."""
         ...
 
-    def points(self, now: float) -> Mapping[str, FloatArray]:
-        """Where each arm's point is, task frame, (3,) m, by arm; arms that it misses are left out.
+    def points(self, now: float) -> Mapping[str, tuple[float, FloatArray]]:
+        """When each arm's point was seen, and where, by arm; arms that it misses are left out.
 
         Args:
-            now: driver's clock, s.
+            now: driver's clock, s, by which stamps are as well; points are (3,) m, task frame.
         """
         ...
 
@@ -82,9 +92,13 @@ def collect(
     poses: FloatArray,
     folder: Path,
     programme: str,
-    progress: Callable[[int], None] = lambda count: None,
+    progress: Callable[[str, int], None] = lambda what, count: None,
+    operator: Operator | None = None,
 ) -> Collected:
     """Visits poses and writes what is measured there, a row at a time; goes on where it was.
+
+    The arms go to their start pose first. All is planned and rehearsed there, before they move on:
+    arms that are on their way cannot wait for a plan.
 
     Args:
         session: a connected cell.
@@ -92,44 +106,70 @@ def collect(
         poses: joints to visit, (n, arms, 6).
         folder: gets `<arm>.csv`; rows that are there already are kept, and their poses left out.
         programme: says how the poses were chosen; a folder of another programme is refused.
-        progress: told how many poses are measured.
+        progress: told how many poses are "planned", and how many "measured".
+        operator: who may resume after a HOLD on the way to the start pose.
 
     Raises:
         CalibrationError: the folder holds another programme's measurements.
+        MotionError: there is no way to the start pose.
         SafetyStop: the gate stepped in; what was measured so far is kept.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = {arm.name: folder / f"{arm.name}.csv" for arm in session.cell.arms}
-    books = [_Book(path, programme) for path in files.values()]
+    books = [Book(path, programme) for path in files.values()]
     done = min(book.done for book in books)
-    skipped = 0
+    measured = done
     try:
         session.make_ready()
-        session.begin()
-        index = done
-        while index < len(poses):
-            lot = _next_lot(session, poses, index)
-            if lot is None:
-                skipped += 1
-                index += 1
-                continue
-            plan, count = lot
-            _stream(session, source, plan, books, index)
-            index += count
-            progress(index - skipped)
+        fetched = EpisodeResult(0)
+        if not approach(session, fetched, operator):
+            raise SafetyStop(f"the gate stepped in ({fetched.stopped_by}); {AGAIN}")
+        lots = _planned(session, poses, done, lambda count: progress("planned", count))
+        if lots:
+            session.begin()
+        for visits in lots:
+            _stream(session, source, visits, books)
+            measured += len(visits.arrivals)
+            progress("measured", measured)
         session.finish()
     finally:
         for book in books:
             book.close()
-    return Collected(files, len(poses) - skipped, skipped)
+    return Collected(files, measured, len(poses) - measured)
 
 
-def _next_lot(session: Session, poses: FloatArray, index: int) -> tuple[_Visits, int] | None:
+def _planned(
+    session: Session, poses: FloatArray, index: int, progress: Callable[[int], None]
+) -> list[_Visits]:
+    """Checked plans through the poses from `index` on, those left out that a gate refuses."""
+    state, lots = session.read(), list[_Visits]()
+    while index < len(poses):
+        session.go_on()
+        visits = _next_lot(session, state, poses, index)
+        if visits is None:
+            index += 1
+            continue
+        lots.append(visits)
+        state = _resting(state, visits.rows[-1])
+        index += len(visits.arrivals)
+        progress(index)
+    return lots
+
+
+def _resting(state: CellState, row: FloatArray) -> CellState:
+    """The same arms at rest at axis positions (arms, 7)."""
+    arms = []
+    for arm, axes in zip(state.arms, row.tolist(), strict=True):
+        jp, jaw = tuple(axes[:6]), axes[6]
+        arms.append(replace(arm, measured_jp=jp, setpoint_jp=jp, jaw_setpoint_jp=jaw))
+    return replace(state, arms=tuple(arms))
+
+
+def _next_lot(session: Session, state: CellState, poses: FloatArray, index: int) -> _Visits | None:
     """A checked plan through the next poses, or the next one alone; None when that is refused."""
     for count in (LOT, 1):
-        lot = poses[index : index + count]
         try:
-            return _visits(session, lot), len(lot)
+            return _visits(session, state, poses[index : index + count], index)
         except (MotionError, SafetyStop):
             continue
     return None
@@ -143,16 +183,17 @@ class _Visits:
         plan: the plan.
         rows: axis positions at its waypoints, (n, arms, 7).
         arrivals: index of the waypoint at which each pose is reached.
+        first: number of the first of the poses.
     """
 
     plan: Plan
     rows: FloatArray
     arrivals: tuple[int, ...]
+    first: int
 
 
-def _visits(session: Session, poses: FloatArray) -> _Visits:
-    """Plans and rehearses: to each pose, and a rest there."""
-    state = session.read()
+def _visits(session: Session, state: CellState, poses: FloatArray, first: int) -> _Visits:
+    """Plans and rehearses, from a state at rest: to each pose, and a rest there."""
     held = axes_of(state)
     rows, arrivals = [held], []
     for pose in poses:
@@ -166,15 +207,13 @@ def _visits(session: Session, poses: FloatArray) -> _Visits:
     cell: CellDescription = session.cell
     motion = smooth(cell, table, cell.file.motion.step_s)
     plan = Plan(tuple(waypoint_at(cell, row) for row in rows), motion, {})
-    plan.check(cell, session.driver.period_s, state, session.line.ik_solver)
-    return _Visits(plan, table, tuple(arrivals))
+    session.check(plan, state)
+    return _Visits(plan, table, tuple(arrivals), first)
 
 
-def _stream(
-    session: Session, source: PointSource, visits: _Visits, books: list[_Book], first: int
-) -> None:
+def _stream(session: Session, source: PointSource, visits: _Visits, books: list[Book]) -> None:
     """Streams a lot and measures on the way."""
-    due = _moments(session.cell, visits, first)
+    due, past = _moments(session.cell, visits), deque[CellState](maxlen=PAST)
     motion = visits.plan.motion
     turns = np.zeros((len(books), 3))
     session.line.follow(motion)
@@ -186,22 +225,17 @@ def _stream(
             row += 1
         if not session.cycle():
             session.come_to_rest()
-            raise SafetyStop(
-                f"the gate stepped in ({session.cause}); what was measured is kept, put the cause "
-                "right and start again"
-            )
-        now = session.driver.clock.now()
-        source.look(now)
+            raise SafetyStop(f"the gate stepped in ({session.cause}); {AGAIN}")
+        past.append(session.read())
+        source.look(session.driver.clock.now())
         if due and session.line.phase >= due[0][0]:
             _, pose, is_moving = due.pop(0)
-            _measure(
-                session.read(), source, session.driver.clock.now(), books, turns, pose, is_moving
-            )
+            _measure(past, source, session.driver.clock.now(), books, turns, pose, is_moving)
 
 
-def _moments(cell: CellDescription, visits: _Visits, first: int) -> list[tuple[float, int, bool]]:
+def _moments(cell: CellDescription, visits: _Visits) -> list[tuple[float, int, bool]]:
     """When to measure: plan time, pose, and whether on the way to it."""
-    times = visits.plan.motion.waypoint_times
+    first, times = visits.first, visits.plan.motion.waypoint_times
     at_rest = [times[there + REST_STEPS] for there in visits.arrivals]
     left = [0.0, *at_rest[:-1]]
     ways = [
@@ -231,71 +265,32 @@ def _fastest(
 
 
 def _measure(
-    state: CellState,
+    past: Sequence[CellState],
     source: PointSource,
     now: float,
-    books: list[_Book],
+    books: list[Book],
     turns: FloatArray,
     pose: int,
     is_moving: bool,
 ) -> None:
     points = source.points(now)
-    for arm, book, turn in zip(state.arms, books, turns, strict=True):
-        point = points.get(arm.name)
+    for index, (book, turn) in enumerate(zip(books, turns, strict=True)):
+        seen_s, point = points.get(past[-1].arms[index].name, (-math.inf, np.zeros(3)))
         row = None
-        if point is not None and np.isfinite(point).all():
+        if now - seen_s <= STALE_S and np.isfinite(point).all():
+            jp, jv = _joints_at(past, index, seen_s)
+            speeds = jv if is_moving else np.zeros(6)
             row = Measurements(
-                np.array([now]),
-                np.array([arm.measured_jp]),
-                np.array([arm.measured_jv]) if is_moving else np.zeros((1, 6)),
-                turn[None],
-                np.asarray(point)[None],
+                np.array([seen_s]), jp[None], speeds[None], turn[None], np.asarray(point)[None]
             )
         book.write(pose, is_moving, row)
 
 
-class _Book:
-    """The CSV file of one arm, a row at a time.
-
-    Attributes:
-        done: poses that need no more visit.
-    """
-
-    def __init__(self, path: Path, programme: str) -> None:
-        title = f"# programme: {programme}\n"
-        self.done = 0
-        if path.exists():
-            self.done = _resume(path, title)
-            self._file: IO[str] = path.open("a", encoding="utf-8")
-        else:
-            self._file = path.open("w", encoding="utf-8")
-            self._file.write(title + measurements.header())
-
-    def write(self, pose: int, is_moving: bool, row: Measurements | None) -> None:
-        """Writes a row to the disk; a comment once a pose is done, seen or not."""
-        if row is not None:
-            self._file.write(measurements.line(row, 0))
-        if not is_moving:
-            self._file.write(f"# pose {pose} done\n")
-            self._file.flush()
-            os.fsync(self._file.fileno())
-
-    def close(self) -> None:
-        self._file.close()
-
-
-def _resume(path: Path, title: str) -> int:
-    """Cuts a file off after the last pose that was done; how many poses that leaves.
-
-    Raises:
-        CalibrationError: it was written by another programme.
-    """
-    text = path.read_text(encoding="utf-8")
-    if not text.startswith(title):
-        raise CalibrationError(
-            f"{path}: holds measurements of another programme; name another folder"
-        )
-    ends = list(re.finditer(r"^# pose (\d+) done\n", text, re.MULTILINE))
-    kept = text[: ends[-1].end()] if ends else title + measurements.header()
-    path.write_text(kept, encoding="utf-8")
-    return int(ends[-1].group(1)) + 1 if ends else 0
+def _joints_at(past: Sequence[CellState], arm: int, time: float) -> tuple[FloatArray, FloatArray]:
+    """An arm's joints and their speeds, (6,) each, at a time among those of its last states."""
+    times = [state.arms[arm].stamp_s for state in past]
+    joints = np.array([state.arms[arm].measured_jp for state in past])
+    speeds = np.array([state.arms[arm].measured_jv for state in past])
+    columns = range(joints.shape[1])
+    jp = np.array([np.interp(time, times, joints[:, column]) for column in columns])
+    return jp, np.array([np.interp(time, times, speeds[:, column]) for column in columns])

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import datetime
-import enum
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,37 +14,18 @@ from rich.progress import Progress
 from rich.table import Table
 
 from viskill_deploy.calibrate.apply import calibration_file
-from viskill_deploy.calibrate.collect import collect
 from viskill_deploy.calibrate.fit import ArmFit, fit_arm
 from viskill_deploy.calibrate.judge import judge
 from viskill_deploy.calibrate.measurements import load
 from viskill_deploy.calibrate.parameters import NAMES
-from viskill_deploy.calibrate.programme import choose_poses
-from viskill_deploy.calibrate.study import Study, Trial, figures, poses_for
-from viskill_deploy.calibrate.truths import draw_robot, hidden_robot
-from viskill_deploy.cli import touching
-from viskill_deploy.cli.serve import TransportChoice
-from viskill_deploy.cli.sources import Truth
-from viskill_deploy.cli.touching import (
-    TOUCH_NOISE_M,
-    TOUCHES,
-    TouchedBy,
-    TouchedRobot,
-    collect_by_touch,
-)
+from viskill_deploy.calibrate.study import Study, Trial, figures
+from viskill_deploy.calibrate.truths import draw_robot
+from viskill_deploy.cli import collect
 from viskill_deploy.core.calibration_files import write_calibration
-from viskill_deploy.core.description import CellDescription, load_cell
+from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import CalibrationError
-from viskill_deploy.drivers.crtk.opening import Network
-from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.observe.calibration_report import write_calibration_report
 from viskill_deploy.observe.recording import Recorder
-from viskill_deploy.runtime.interrupting import interruptible
-from viskill_deploy.runtime.line import Line
-from viskill_deploy.runtime.session import Session
-from viskill_deploy.sim.tasks.base import load_task
-from viskill_deploy.sim.tracker import SimulatedTracker, TrackerOptions
-from viskill_deploy.sim.world import WorldOptions
 
 app = typer.Typer(
     help="Measure where a cell's arms really are, fit it, and write a calibration.",
@@ -64,115 +43,7 @@ POINT = Annotated[
 JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
 
 
-class Source(enum.StrEnum):
-    """How points are measured."""
-
-    TRACKER = "tracker"
-    TOUCH = "touch"
-
-
-@app.command("collect", epilog="Example: viskill calibrate collect runs/points --source touch")
-def collect_command(
-    folder: Annotated[Path, typer.Argument(help="Where the measurements go, a file an arm.")],
-    source: Annotated[
-        Source,
-        typer.Option(
-            help="tracker: the loopback's arms visit poses, a simulated tracker sees their tips. "
-            "touch: a person brings the tips to points of the board, nothing is sent to any arm."
-        ),
-    ] = Source.TRACKER,
-    cell: CELL = "bipegtransfer",
-    samples: Annotated[int, typer.Option(min=8, help="Rows of the tracker, an arm.")] = 300,
-    points: Annotated[int, typer.Option(help="Points to touch, an arm; at least 8.")] = TOUCHES,
-    driver: touching.Driver = TouchedRobot.LOOPBACK,
-    transport: touching.Transport = TransportChoice.AUTO,
-    domain: touching.Domain = None,
-    interface: touching.Interface = "",
-    seed: Annotated[int, typer.Option(min=0, help="Of poses and noise.")] = 0,
-    truth: Truth = "",
-    noise: Annotated[
-        float | None,
-        typer.Option(
-            min=0, help="Of a coordinate, m: the tracker's (the truth's), or 0.0003 of a touch."
-        ),
-    ] = None,
-    outliers: Annotated[
-        float | None,
-        typer.Option(min=0, max=0.5, help="Part of wrong points: the truth's, or no touch."),
-    ] = None,
-    json_: JSON = False,
-) -> None:
-    """Measure points of every arm's tip; started again, it goes on where it was.
-
-    Points of another tracker need no collecting: write them as CSV and go on with
-    `viskill calibrate fit`.
-    """
-    described = load_cell(cell)
-    hidden = hidden_robot(truth, described) if truth else None
-    if source is Source.TOUCH:
-        who = TouchedBy(
-            driver,
-            transport.value,
-            Network(domain, interface),
-            hidden,
-            TOUCH_NOISE_M if noise is None else noise,
-            outliers or 0.0,
-            seed,
-        )
-        found = collect_by_touch(described, folder, points, who)
-    else:
-        world, seen = WorldOptions(), TrackerOptions()
-        if hidden is not None:
-            world, seen = hidden.world(described, world), hidden.tracker(described)
-        seen = replace(
-            seen,
-            noise_m=seen.noise_m if noise is None else noise,
-            outlier_share=seen.outlier_share if outliers is None else outliers,
-        )
-        programme = f"cell {cell}, {poses_for(samples)} poses, seed {seed}, truth {truth or None}"
-        found = _collect_by_tracker(described, folder, samples, seed, world, seen, programme)
-    if json_:
-        print(json.dumps(found))
-        return
-    for path in found["files"].values():
-        print(path)
-
-
-def _collect_by_tracker(
-    described: CellDescription,
-    folder: Path,
-    samples: int,
-    seed: int,
-    world: WorldOptions,
-    seen: TrackerOptions,
-    programme: str,
-) -> dict[str, Any]:
-    """The arms of the loopback visit poses through the gate, a tracker sees the tips."""
-    count = poses_for(samples)
-    poses = np.stack(
-        [choose_poses(described, arm, count, seed) for arm in range(len(described.arms))], axis=1
-    )
-    driver = LoopbackDriver(described, world, seed)
-    driver.connect()
-    task = load_task(described.name)
-    driver.reset(task.sample_layout(np.random.default_rng(seed), task.distributions[0]))
-    tracker = SimulatedTracker(driver.world, seen, seed)
-    folder.mkdir(parents=True, exist_ok=True)
-    console = Console(stderr=True)
-    line = Line(described, driver.period_s)
-    with (
-        Recorder(_free(folder / "recording"), described, driver.period_s) as recorder,
-        Session(described, driver, line, recorder) as session,
-        interruptible(session),
-        Progress(console=console) as bar,
-    ):
-        shown = bar.add_task("poses", total=count)
-        found = collect(
-            session, tracker, poses, folder, programme, lambda n: bar.update(shown, completed=n)
-        )
-    if found.skipped:
-        console.print(f"{found.skipped} poses were left out: the gate would have stepped in.")
-    return {"files": {name: str(path) for name, path in found.files.items()}}
+app.command("collect", epilog=collect.EXAMPLE)(collect.command)
 
 
 @app.command("truth", epilog="Example: viskill calibrate truth 3 -o runs/robot3.json")
@@ -273,15 +144,6 @@ def study_command(
     for name, value in tracked.items():
         table.add_row(name, f"{value:.4g}", f"{touched[name]:.4g}")
     Console().print(table)
-
-
-def _free(path: Path) -> Path:
-    """`path`, or the first `path`-2, -3 … that is not there: every call has its own recording."""
-    number = 1
-    while path.exists():
-        number += 1
-        path = path.with_name(f"{path.name.rsplit('-', 1)[0]}-{number}")
-    return path
 
 
 def _rows(output: Path | None, title: dict[str, Any]) -> list[dict[str, list[dict[str, Any]]]]:

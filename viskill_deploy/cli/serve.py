@@ -7,7 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
+from viskill_deploy.calibrate.truths import hidden_robot
 from viskill_deploy.cli import serve_can
+from viskill_deploy.cli.sources import Truth
 from viskill_deploy.core import realtime
 from viskill_deploy.core.clock import MonotonicClock
 from viskill_deploy.core.description import load_cell
@@ -15,8 +17,11 @@ from viskill_deploy.drivers.crtk.opening import LOOPBACK, Network, open_transpor
 from viskill_deploy.drivers.crtk.server_options import ServerOptions
 from viskill_deploy.drivers.crtk.serving import run, set_up
 from viskill_deploy.drivers.crtk.simulated_cell import CrtkCell
+from viskill_deploy.drivers.crtk.tips_on_wire import tip_topic
 from viskill_deploy.drivers.crtk.topics import Version
 from viskill_deploy.drivers.loopback_cell import LoopbackCell
+from viskill_deploy.sim.tracker import TrackerOptions
+from viskill_deploy.sim.world import WorldOptions
 
 EXAMPLE = "Example: viskill serve crtk --transport dds --arms PSM1,PSM2 --cell bipegtransfer"
 
@@ -97,16 +102,23 @@ def crtk(
     interface: Annotated[
         str, typer.Option(help='Address to be reached at; "" for all. This machine by default.')
     ] = LOOPBACK,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of where things lie.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of where things lie, and of noise.")] = 0,
+    truth: Truth = "",
 ) -> None:
     """Put the simulated arms on the wire as dVRK arms, until Ctrl-C."""
     names = tuple(name.strip() for name in arms.split(",") if name.strip())
-    options = ServerOptions(version.value, homing.value, rate, arms=names)
-    world = set_up(load_cell(cell), seed)
+    described, options, tracker = load_cell(cell), WorldOptions(), TrackerOptions()
+    if truth:
+        hidden = hidden_robot(truth, described)
+        options, tracker = hidden.world(described, options), hidden.tracker(described)
+    server = ServerOptions(
+        version.value, homing.value, rate, arms=names, tracker=tracker, seed=seed
+    )
+    world = set_up(described, seed, options)
     node = open_transport(transport.value, Network(domain, interface, "viskill_serve"))
     try:
-        front = CrtkCell(LoopbackCell(world), node, options, Announcer())
-        print(_told(front, node.name, options, interface), flush=True)
+        front = CrtkCell(LoopbackCell(world), node, server, Announcer())
+        print(_told(front, node.name, server, interface, truth), flush=True)
         realtime.prepare()  # a robot's controller would not wait for other programs either
         run(front, MonotonicClock())
     except KeyboardInterrupt:
@@ -115,15 +127,21 @@ def crtk(
         node.close()
 
 
-def _told(front: CrtkCell, transport: str, options: ServerOptions, interface: str) -> str:
+def _told(
+    front: CrtkCell, transport: str, options: ServerOptions, interface: str, truth: str
+) -> str:
     """What is to be found where."""
     things = ", ".join(f"/scene/{thing}/measured_cp" for thing in front.cell.world.things)
     where = "this machine only" if interface == LOOPBACK else interface or "all interfaces"
     power = "/system" if options.version == "2.4" else "/console"
+    tips = ", ".join(tip_topic(arm.name) for arm in front.cell.world.cell.arms)
+    hidden = f"robot:   hidden, truth {truth}\n" if truth else ""
     return (
         f"simulated dVRK {options.version} over {transport}, on {where}\n"
         f"arms:    {', '.join('/' + arm for arm in front.arms)}, at {options.rate_hz:g} Hz\n"
         f"console: {power}/power_on, power_off, home; /console/emulate_operator_present\n"
         f"things:  {things} (no dVRK has these)\n"
+        f"tracker: {tips}\n"
+        f"{hidden}"
         "stop with Ctrl-C"
     )

@@ -10,8 +10,11 @@ from typing import Annotated
 
 import typer
 
+from viskill_deploy.calibrate.truths import hidden_robot
+from viskill_deploy.cli.sources import Truth
 from viskill_deploy.core import realtime
 from viskill_deploy.core.clock import MonotonicClock
+from viskill_deploy.sim.world import WorldOptions
 
 EXAMPLE = "Example: viskill serve can bipegtransfer --interface udp_multicast"
 
@@ -31,6 +34,7 @@ def command(
         Interface, typer.Option(help="A group on this machine's loopback, or a kernel's bus.")
     ] = Interface.UDP_MULTICAST,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the simulated cell.")] = 0,
+    truth: Truth = "",
 ) -> None:
     """Put the simulated cell behind CiA 402 drives, one bus an arm, until Ctrl-C.
 
@@ -45,7 +49,9 @@ def command(
     )
 
     told, cell = load_with_cell(file, interface.value)
-    front = drive_cell(cell, told, seed)
+    options = WorldOptions(period_s=1.0 / told.cycle_hz)
+    world = hidden_robot(truth, cell).world(cell, options) if truth else options
+    front = drive_cell(cell, told, seed, world)
     for bus in told.bus:
         load = told.traffic(bus, 1.0 / told.cycle_hz).load
         nodes = ", ".join(f"{axis.joint} {axis.node_id}" for axis in bus.axis)

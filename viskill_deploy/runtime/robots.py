@@ -14,7 +14,7 @@ from viskill_deploy.drivers.base import Driver
 from viskill_deploy.drivers.crtk.opening import Network, open_transport
 from viskill_deploy.drivers.crtk.transport import Transport
 from viskill_deploy.runtime.driving import simulated_driver, with_inputs
-from viskill_deploy.runtime.poses import FILED, FiledPoses, PoseLimits, Things, sigma_of
+from viskill_deploy.runtime.poses import FILED, FiledPoses, PoseLimits, PoseSource, Things, sigma_of
 from viskill_deploy.runtime.topic_poses import TopicPoses
 from viskill_deploy.sim.world import WorldOptions
 
@@ -144,11 +144,11 @@ def things_of(
     topics = {name: topic.replace(NAME, name) for name in names}
     sigma_m = {name: sigma_of(seen, name) for name in names}
     poses = TopicPoses(robot.node, topics, sigma_m)
-    _await(poses, names)
+    await_poses(poses, names)
     return Things(seen.scene, poses, limits, arms)
 
 
-def _await(poses: TopicPoses, names: Sequence[str]) -> None:
+def await_poses(poses: PoseSource, names: Sequence[str]) -> None:
     """Gives a tracker the time that it takes to be found."""
     clock = MonotonicClock()
     deadline = clock.now() + FIND_S

@@ -49,14 +49,14 @@ class SimulatedTracker:
         """Remembers where the tips are now; call it in every control period."""
         self._past.append((now, self._world.tips()))
 
-    def points(self, now: float) -> dict[str, FloatArray]:
-        """What it says now, task frame, m."""
+    def points(self, now: float) -> dict[str, tuple[float, FloatArray]]:
+        """What it says now, and the stamp that it puts on it: now, however old it is; m."""
         options, seen = self._options, {}
         for index, name in enumerate(self._names):
             point = self._at(index, now - self._delays[name])
             is_wrong = self._rng.random() < options.outlier_share
             spread = options.outlier_m if is_wrong else options.noise_m
-            seen[name] = point + self._rng.normal(0.0, spread, 3)
+            seen[name] = (now, point + self._rng.normal(0.0, spread, 3))
         return seen
 
     def _at(self, arm: int, time: float) -> FloatArray:

@@ -18,8 +18,16 @@ ORDERS = "consent, no consent, estop, no estop, break PSM1/yaw stuck (or slip), 
 """What the operator may type."""
 
 
-def drive_cell(cell: CellDescription, file: CanFile, seed: int = 0) -> DriveCell:
+def drive_cell(
+    cell: CellDescription, file: CanFile, seed: int = 0, options: WorldOptions | None = None
+) -> DriveCell:
     """Drives on the buses of a file, in front of a simulated cell.
+
+    Args:
+        cell: the cell.
+        file: its drives.
+        seed: of where things lie.
+        options: what is not perfect, with the file's period.
 
     Raises:
         DriverError: the file's buses end in this process, or cannot be opened.
@@ -29,7 +37,7 @@ def drive_cell(cell: CellDescription, file: CanFile, seed: int = 0) -> DriveCell
             "virtual buses end in their process, nobody could come; choose udp_multicast or "
             "socketcan with --interface"
         )
-    world = set_up(cell, seed, WorldOptions(period_s=1.0 / file.cycle_hz))
+    world = set_up(cell, seed, options or WorldOptions(period_s=1.0 / file.cycle_hz))
     return DriveCell(LoopbackCell(world), file)
 
 

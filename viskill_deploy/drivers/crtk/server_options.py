@@ -7,6 +7,7 @@ from typing import Literal, get_args
 
 from viskill_deploy.core.errors import DriverError
 from viskill_deploy.drivers.crtk.topics import Version
+from viskill_deploy.sim.tracker import TrackerOptions
 
 Homing = Literal["dvrk", "stay"]
 
@@ -21,8 +22,10 @@ class ServerOptions:
             kinematic simulation goes, 12 cm into the cannula; "stay" stays where it is, as an arm
             does whose instrument is in the cannula already.
         rate_hz: how often periodic topics are published; at most the cell's own rate counts.
-        scene_hz: how often the poses of things are published.
+        scene_hz: how often the poses of things, and of tips, are published.
         arms: those on the wire; () for all of the cell.
+        tracker: what is wrong with a tracker that sees the tips; None for no tracker.
+        seed: of its noise.
     """
 
     version: Version = "2.4"
@@ -30,6 +33,8 @@ class ServerOptions:
     rate_hz: float = 100.0
     scene_hz: float = 50.0
     arms: tuple[str, ...] = ()
+    tracker: TrackerOptions | None = None
+    seed: int = 0
 
     def __post_init__(self) -> None:
         for value, known in ((self.version, get_args(Version)), (self.homing, get_args(Homing))):

@@ -14,9 +14,11 @@ from viskill_deploy.drivers.crtk.kinematics_services import KinematicsServices
 from viskill_deploy.drivers.crtk.scene_on_wire import SceneOnWire
 from viskill_deploy.drivers.crtk.server_options import ServerOptions
 from viskill_deploy.drivers.crtk.simulated_arm import Event, SimulatedArm
+from viskill_deploy.drivers.crtk.tips_on_wire import TipsOnWire
 from viskill_deploy.drivers.crtk.transport import Transport
 from viskill_deploy.drivers.loopback_cell import LoopbackCell
 from viskill_deploy.drivers.loopback_server import Line
+from viskill_deploy.sim.tracker import SimulatedTracker
 
 __all__ = ["CrtkCell", "ServerOptions"]
 
@@ -71,6 +73,10 @@ class CrtkCell:
         simulated_arms = {name: arm.arm for name, arm in self.arms.items()}
         self._console = ConsoleOnWire(cell, simulated_arms, transport, options)
         self._scene = SceneOnWire(cell, transport, options.scene_hz)
+        self._tips: TipsOnWire | None = None
+        if options.tracker is not None:
+            tracker = SimulatedTracker(cell.world, options.tracker, options.seed)
+            self._tips = TipsOnWire(tracker, names, transport, options.scene_hz)
 
     def poll(self, now: float) -> None:
         """Hears and answers; no time passes."""
@@ -95,6 +101,8 @@ class CrtkCell:
         for arm, state in self._pairs():
             arm.speak(state, now)
         self._scene.speak(now)
+        if self._tips is not None:
+            self._tips.speak(now)
 
     def cause(self, fault: str, arm: str, is_on: bool) -> None:
         """Begins or ends a fault of `faults.Fault` on an arm.

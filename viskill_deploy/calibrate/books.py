@@ -1,0 +1,67 @@
+"""Files of measurements that survive whatever ends their writer."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import IO
+
+from viskill_deploy.calibrate import measurements
+from viskill_deploy.calibrate.measurements import Measurements
+from viskill_deploy.core.errors import CalibrationError
+
+
+class Book:
+    """The CSV file of one arm, a row at a time.
+
+    Args:
+        path: the file; what it holds is kept.
+        programme: says how the poses were chosen.
+
+    Raises:
+        CalibrationError: it holds another programme's measurements.
+
+    Attributes:
+        done: poses that need no more visit.
+    """
+
+    def __init__(self, path: Path, programme: str) -> None:
+        title = f"# programme: {programme}\n"
+        self.done = 0
+        if path.exists():
+            self.done = _resume(path, title)
+            self._file: IO[str] = path.open("a", encoding="utf-8")
+        else:
+            self._file = path.open("w", encoding="utf-8")
+            self._file.write(title + measurements.header())
+
+    def write(self, pose: int, is_moving: bool, row: Measurements | None) -> None:
+        """Writes a row to the disk; a comment once a pose is done, seen or not."""
+        if row is not None:
+            self._file.write(measurements.line(row, 0))
+        if not is_moving:
+            self._file.write(f"# pose {pose} done\n")
+            self._file.flush()
+            os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Closes the file."""
+        self._file.close()
+
+
+def _resume(path: Path, title: str) -> int:
+    """Cuts a file off after the last pose that was done; how many poses that leaves.
+
+    Raises:
+        CalibrationError: it was written by another programme.
+    """
+    text = path.read_text(encoding="utf-8")
+    if not text.startswith(title):
+        raise CalibrationError(
+            f"{path}: holds measurements of another programme; name another folder"
+        )
+    ends = list(re.finditer(r"^# pose (\d+) done\n", text, re.MULTILINE))
+    kept = text[: ends[-1].end()] if ends else title + measurements.header()
+    path.write_text(kept, encoding="utf-8")
+    return int(ends[-1].group(1)) + 1 if ends else 0

@@ -1,0 +1,280 @@
+"""`viskill calibrate collect`: the arms visit poses through the gate, something sees their tips."""
+
+from __future__ import annotations
+
+import enum
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import Progress
+
+from viskill_deploy.calibrate.collect import Collected, PointSource, collect
+from viskill_deploy.calibrate.programme import choose_poses
+from viskill_deploy.calibrate.study import poses_for
+from viskill_deploy.calibrate.topic_tips import TopicTips, topics_of
+from viskill_deploy.calibrate.truths import hidden_robot
+from viskill_deploy.cli.serve import TransportChoice
+from viskill_deploy.cli.sources import Truth
+from viskill_deploy.cli.terminal import Terminal
+from viskill_deploy.cli.touching import (
+    TOUCH_NOISE_M,
+    TOUCHES,
+    TouchedBy,
+    TouchedRobot,
+    collect_by_touch,
+)
+from viskill_deploy.core import data
+from viskill_deploy.core.description import CellDescription, load_cell
+from viskill_deploy.core.errors import Interrupted
+from viskill_deploy.core.types import FloatArray
+from viskill_deploy.drivers.base import Driver
+from viskill_deploy.drivers.crtk.opening import Network, open_transport
+from viskill_deploy.drivers.loopback import LoopbackDriver
+from viskill_deploy.observe.preflight_table import print_preflight
+from viskill_deploy.observe.recording import Recorder
+from viskill_deploy.runtime.checklist import Checklist
+from viskill_deploy.runtime.consent import PersonsConsent
+from viskill_deploy.runtime.execution import FIRST_SPEED
+from viskill_deploy.runtime.interrupting import interruptible
+from viskill_deploy.runtime.line import Line
+from viskill_deploy.runtime.readiness import look_at_robot
+from viskill_deploy.runtime.robots import RobotName, RobotOptions, connected
+from viskill_deploy.runtime.session import Session
+from viskill_deploy.sim.tasks.base import load_task
+from viskill_deploy.sim.tracker import SimulatedTracker, TrackerOptions
+from viskill_deploy.sim.world import WorldOptions
+
+EXAMPLE = "Example: viskill calibrate collect runs/points --driver crtk --robot lab.toml"
+
+
+class Source(enum.StrEnum):
+    """How points are measured."""
+
+    TRACKER = "tracker"
+    TOUCH = "touch"
+
+
+class RobotChoice(enum.Enum):
+    """What the robot is reached by."""
+
+    LOOPBACK = "loopback"
+    CAN = "can"
+    CRTK = "crtk"
+
+    value: RobotName
+
+
+def command(
+    folder: Annotated[Path, typer.Argument(help="Where the measurements go, a file an arm.")],
+    cell: Annotated[
+        str,
+        typer.Option("--cell", "--robot", help="A name in robots/cells, or the path of a file."),
+    ] = "bipegtransfer",
+    source: Annotated[
+        Source,
+        typer.Option(
+            help="tracker: the arms visit poses, a tracker sees their tips. touch: a person "
+            "brings the tips to points of the board, nothing is sent to any arm."
+        ),
+    ] = Source.TRACKER,
+    driver: Annotated[
+        RobotChoice, typer.Option(help="What the robot is reached by; loopback: simulated.")
+    ] = RobotChoice.LOOPBACK,
+    samples: Annotated[int, typer.Option(min=8, help="Rows of the tracker, an arm.")] = 300,
+    points: Annotated[int, typer.Option(help="Points to touch, an arm; at least 8.")] = TOUCHES,
+    seed: Annotated[int, typer.Option(min=0, help="Of poses, and of simulated noise.")] = 0,
+    tracker: Annotated[
+        str, typer.Option(help="Topics of a tracker of the tips, PoseStamped in the task frame.")
+    ] = "/tracker/{arm}/measured_cp",
+    transport: Annotated[
+        TransportChoice, typer.Option(help="What carries CRTK and the tracker's points.")
+    ] = TransportChoice.AUTO,
+    domain: Annotated[
+        int | None, typer.Option(help="ROS 2 domain; by default ROS_DOMAIN_ID, or 0.")
+    ] = None,
+    interface: Annotated[
+        str, typer.Option(help="Address of this machine on the robot's network, if it needs one.")
+    ] = "",
+    can: Annotated[
+        str, typer.Option(help="CAN file, by name or path; that of the cell's name by default.")
+    ] = "",
+    speed: Annotated[
+        float | None,
+        typer.Option(min=0.05, max=1.0, help="Part of full speed: 0.25, or 1 on the loopback."),
+    ] = None,
+    yes: Annotated[
+        bool,
+        typer.Option("--yes", help="Do not ask for the name; the consent pedal is still asked."),
+    ] = False,
+    truth: Truth = "",
+    noise: Annotated[
+        float | None,
+        typer.Option(
+            min=0,
+            help="Of the loopback's tracker, m, the truth's by default; or 0.0003 of a touch.",
+        ),
+    ] = None,
+    outliers: Annotated[
+        float | None,
+        typer.Option(min=0, max=0.5, help="Part of its points that are wrong, likewise."),
+    ] = None,
+    json_: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
+) -> None:
+    """Measure points of every arm's tip.
+
+    Started again, it goes on where it was, whatever had ended it. Measurements of another tracker
+    need no collecting: write them as CSV and go on with `viskill calibrate fit`.
+    """
+    described, console = load_cell(cell), Console(stderr=True)
+    network = Network(domain, interface)
+    if source is Source.TOUCH:
+        if driver is RobotChoice.CAN:
+            raise typer.BadParameter("--source touch listens to the loopback or to CRTK")
+        who = TouchedBy(
+            TouchedRobot(driver.value),
+            transport.value,
+            network,
+            hidden_robot(truth, described) if truth else None,
+            TOUCH_NOISE_M if noise is None else noise,
+            outliers or 0.0,
+            seed,
+        )
+        _show(collect_by_touch(described, folder, points, who), json_)
+        return
+    count = poses_for(samples)
+    poses = np.stack(
+        [choose_poses(described, arm, count, seed) for arm in range(len(described.arms))], axis=1
+    )
+    programme = f"cell {described.name}, {count} poses, seed {seed}, "
+    if driver is RobotChoice.LOOPBACK:
+        loopback, source = _hidden(described, truth, noise, outliers, seed)
+        line = Line(described, loopback.period_s, speed=speed or 1.0)
+        programme += f"truth {truth or None}"
+        found = _collect(described, loopback, source, line, poses, folder, programme, console)
+    else:
+        if truth or noise is not None or outliers is not None:
+            raise typer.BadParameter("--truth, --noise and --outliers are the loopback's")
+        options = RobotOptions(driver.value, can=can, transport=transport.value, network=network)
+        robot = connected(described, options)
+        try:
+            robot.node = robot.node or open_transport(options.transport, network)
+            arms = [arm.name for arm in described.arms]
+            tips = TopicTips(robot.node, topics_of(tracker, arms))
+            tips.insist()
+            terminal = Terminal(console)
+            _agree(described, robot.driver, terminal, console, yes)
+            line = Line(described, robot.driver.period_s, speed=speed or FIRST_SPEED)
+            programme += driver.value
+            found = _collect(
+                described, robot.driver, tips, line, poses, folder, programme, console, terminal
+            )
+        finally:
+            robot.close()
+    if found.skipped:
+        console.print(f"{found.skipped} poses were left out: the gate would have stepped in.")
+    _show({"files": {name: str(path) for name, path in found.files.items()}}, json_)
+
+
+def _show(found: dict[str, Any], as_json: bool) -> None:
+    """Prints where the measurements are."""
+    if as_json:
+        print(json.dumps(found))
+        return
+    for path in found["files"].values():
+        print(path)
+
+
+def _hidden(
+    cell: CellDescription, truth: str, noise: float | None, outliers: float | None, seed: int
+) -> tuple[LoopbackDriver, SimulatedTracker]:
+    """The loopback as a hidden robot, and its tracker."""
+    world, seen = WorldOptions(), TrackerOptions()
+    if truth:
+        hidden = hidden_robot(truth, cell)
+        world, seen = hidden.world(cell, world), hidden.tracker(cell)
+    seen = replace(
+        seen,
+        noise_m=seen.noise_m if noise is None else noise,
+        outlier_share=seen.outlier_share if outliers is None else outliers,
+    )
+    driver = LoopbackDriver(cell, world, seed)
+    driver.connect()
+    task = load_task(cell.name, cell)
+    driver.reset(task.sample_layout(np.random.default_rng(seed), task.distributions[0]))
+    return driver, SimulatedTracker(driver.world, seen, seed)
+
+
+def _agree(
+    cell: CellDescription, driver: Driver, terminal: Terminal, console: Console, yes: bool
+) -> None:
+    """Looks at the robot, says what will happen, and has a person agree to it.
+
+    Raises:
+        ViskillError: something is against it.
+        Interrupted: the person did not agree.
+    """
+    checklist = Checklist()
+    look_at_robot(checklist, driver, cell)
+    files = [(str(file), data.sha256(file)) for file in cell.files]
+    print_preflight(f"calibrate collect · cell {cell.name}", checklist.lines, files, console)
+    checklist.insist()
+    arms = " and ".join(arm.name for arm in cell.arms)
+    terminal.tell(
+        f"{arms} are enabled and homed, go to their start pose and then all over their workspace, "
+        "above the board; each motion needs the pedal. Take instruments and things out of the way. "
+        "Keep a hand on the emergency stop: this program is none"
+    )
+    if yes:
+        return
+    terminal.ask(f"type {cell.name} to go on, anything else to leave it")
+    while (answer := terminal.answer()) is None:
+        pass
+    if answer.strip() != cell.name:
+        raise Interrupted("not agreed to; nothing was switched on")
+
+
+def _collect(
+    cell: CellDescription,
+    driver: Driver,
+    source: PointSource,
+    line: Line,
+    poses: FloatArray,
+    folder: Path,
+    programme: str,
+    console: Console,
+    operator: Terminal | None = None,
+) -> Collected:
+    folder.mkdir(parents=True, exist_ok=True)
+    consent = PersonsConsent(driver, operator.tell) if operator is not None else None
+    with (
+        Recorder(_free(folder / "recording"), cell, driver.period_s) as recorder,
+        Session(cell, driver, line, recorder, consent=consent) as session,
+        interruptible(session),
+        Progress(console=console) as bar,
+    ):
+        tasks = {what: bar.add_task(what, total=len(poses)) for what in ("planned", "measured")}
+        return collect(
+            session,
+            source,
+            poses,
+            folder,
+            programme,
+            lambda what, n: bar.update(tasks[what], completed=n),
+            operator,
+        )
+
+
+def _free(path: Path) -> Path:
+    """`path`, or the first `path`-2, -3 … that is not there: every call has its own recording."""
+    number = 1
+    while path.exists():
+        number += 1
+        path = path.with_name(f"{path.name.rsplit('-', 1)[0]}-{number}")
+    return path
