@@ -154,10 +154,10 @@ def command(
     )
     programme = f"cell {described.name}, {count} poses, seed {seed}, "
     if driver is RobotChoice.LOOPBACK:
-        loopback, source = _hidden(described, truth, noise, outliers, seed)
+        loopback, seen = _hidden(described, truth, noise, outliers, seed)
         line = Line(described, loopback.period_s, speed=speed or 1.0)
         programme += f"truth {truth or None}"
-        found = _collect(described, loopback, source, line, poses, folder, programme, console)
+        found = _collect(described, loopback, seen, line, poses, folder, programme, console)
     else:
         if truth or noise is not None or outliers is not None:
             raise typer.BadParameter("--truth, --noise and --outliers are the loopback's")
