@@ -21,6 +21,7 @@ from viskill_deploy.calibrate.parameters import NAMES
 from viskill_deploy.calibrate.study import Study, Trial, figures
 from viskill_deploy.calibrate.truths import draw_robot
 from viskill_deploy.cli import collect
+from viskill_deploy.cli.touching import TOUCHES
 from viskill_deploy.core.calibration_files import write_calibration
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import CalibrationError
