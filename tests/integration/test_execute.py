@@ -14,7 +14,8 @@ import pytest
 from operators import Person, Spied
 from silent_recorder import SilentRecorder
 
-from viskill_deploy.core.errors import DriverError, Interrupted
+from viskill_deploy.cli.execute import _judge
+from viskill_deploy.core.errors import DriverError, Interrupted, SafetyStop
 from viskill_deploy.core.scene_files import read_scene
 from viskill_deploy.core.types import JointSetpoint
 from viskill_deploy.drivers.crtk.server_options import ServerOptions
@@ -327,3 +328,32 @@ def test_arms_that_speak_crtk_are_homed_fetched_run_and_switched_off(prepared: P
     assert result["success"]
     assert recorder.passed[0][0].jp[2] == pytest.approx(DEEP, abs=2e-3), "where a dVRK homes"
     assert is_at_start(prepared, recorder.passed[-1])
+
+
+def test_a_fault_of_an_arm_ends_the_run_and_stays_for_a_person_to_clear(
+    prepared: Prepared, tmp_path: Path
+) -> None:
+    driver = SteppedCrtk(prepared.cell, WorldOptions(0.01))
+    driver.connect()
+    driver.reset(prepared.task.sample_layout(np.random.default_rng(5), "reference"))
+    recorder, person = Kept(), Person()
+    cycle = recorder.cycle
+
+    def fault_in_time(*record: Any) -> None:
+        cycle(*record)
+        if len(recorder.passed) == 200:
+            driver.front.cause("tracking", "PSM1", True)
+
+    recorder.cycle = fault_in_time  # type: ignore[method-assign]
+    outcome = execute(
+        prepared, ExecuteOptions(speed=1.0, mode="closed-loop"), driver, recorder, person
+    )
+    (result,) = outcome.figures["episode_results"]
+    assert result["stopped_by"] == "S23"
+    assert "PSM1 is in FAULT (PSM1: tracking error" in result["reason"]
+    assert person.asked == [], "nobody is asked to resume it"
+    assert len(recorder.passed) < 260
+    states = {name: arm.arm.operating.state for name, arm in driver.front.arms.items()}
+    assert states == {"PSM1": "FAULT", "PSM2": "DISABLED"}
+    with pytest.raises(SafetyStop, match=r"a person has to look at it.*--recover"):
+        _judge(outcome.figures, outcome.failure, tmp_path / "report.html")

@@ -25,12 +25,15 @@ from viskill_deploy.core.errors import (
 )
 from viskill_deploy.drivers.base import Driver
 from viskill_deploy.drivers.crtk.opening import Network
+from viskill_deploy.observe.labels import rule_label
 from viskill_deploy.observe.preflight_table import print_preflight, summary
 from viskill_deploy.observe.recording import Recorder
 from viskill_deploy.runtime.dry_run import LAYOUTS
 from viskill_deploy.runtime.execution import FIRST_SPEED, ExecuteOptions, execute, look_before
+from viskill_deploy.runtime.operator import typed
 from viskill_deploy.runtime.poses import PoseLimits, Things
 from viskill_deploy.runtime.preflight import Prepared, Sources, prepare
+from viskill_deploy.runtime.recovering import recover
 from viskill_deploy.runtime.robots import RobotName, RobotOptions, connected, things_of
 from viskill_deploy.sim.world import WorldOptions
 
@@ -141,6 +144,10 @@ def command(
     ] = False,
     output: Annotated[Path | None, typer.Option(help="Folder for report and recording.")] = None,
     video: Annotated[bool, typer.Option(help="Render the run.")] = True,
+    recover_: Annotated[
+        bool,
+        typer.Option("--recover", help="First clear a FAULT of the arms; asks you to type it."),
+    ] = False,
     json_: Annotated[
         bool, typer.Option("--json", help="Print the figures as one JSON object, nothing else.")
     ] = False,
@@ -197,6 +204,8 @@ def command(
         things = things_of(found, chosen, prepared.scene, pose_topic, limits, names)
         patience_s = 0.05 if found.driver.capabilities.stepped else 0.0
         terminal = Terminal(console, patience_s)
+        if recover_:
+            recover(found.arms, terminal)
         _agree(prepared, options, found.driver, things, terminal, console, yes)
         folder = new_folder(output, prepared.name)
         figures, failure = _run(prepared, options, found.driver, things, terminal, folder)
@@ -251,10 +260,8 @@ def _agree(
     _say_what_happens(prepared, options, terminal)
     if yes:
         return
-    terminal.ask(f"type {prepared.name} to go on, anything else to leave it")
-    while (answer := terminal.answer()) is None:
-        pass
-    if answer.strip() != prepared.name:
+    question = f"type {prepared.name} to go on, anything else to leave it"
+    if typed(terminal, question) != prepared.name:
         raise Interrupted("not agreed to; nothing was switched on")
 
 
@@ -300,8 +307,9 @@ def _judge(figures: dict[str, Any], failure: ViskillError | None, report: Path) 
         raise failure
     (result,) = figures["episode_results"]
     if figures["interventions"]:
+        why = ": ".join(filter(None, (rule_label(result["stopped_by"]), result["reason"])))
         raise SafetyStop(
-            f"the gate stepped in and the run was not resumed; see {report} for rule and time"
+            f"the gate stepped in and the run was not resumed ({why}); see {report} for the time"
         ) from failure
     if failure is not None:
         raise failure

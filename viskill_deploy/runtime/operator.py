@@ -5,9 +5,13 @@ An answer is a wish, never the consent to motion: that comes with the driver's i
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Final, Protocol
 
+from viskill_deploy.core.clock import MonotonicClock
 from viskill_deploy.runtime.session import Session
+
+LOOK_S: Final = 0.02
+"""How soon an answer is seen that nobody but a person waits for."""
 
 
 class Operator(Protocol):
@@ -28,6 +32,19 @@ class Operator(Protocol):
             Interrupted: nobody can answer any more.
         """
         ...
+
+
+def typed(operator: Operator, question: str) -> str:
+    """The answer to a question, however long it takes; while no arm counts on us.
+
+    Raises:
+        Interrupted: nobody can answer any more.
+    """
+    operator.ask(question)
+    clock = MonotonicClock()
+    while (answer := operator.answer()) is None:
+        clock.sleep_until(clock.now() + LOOK_S)
+    return answer.strip()
 
 
 def asked(session: Session, operator: Operator, question: str) -> str | None:

@@ -65,9 +65,13 @@ def _power(state: CellState) -> Found[None]:
     if state.inputs.estop:
         raise SafetyStop("the emergency stop is pressed; release it, then start again")
     for arm in state.arms:
-        if arm.operating_state == FAULTY or arm.is_busy:
-            what = "in FAULT" if arm.operating_state == FAULTY else "busy"
-            raise DriverError(f"{arm.name} is {what}; put that right at its console, start again")
+        if arm.operating_state == FAULTY:
+            raise DriverError(
+                f"{arm.name} is in FAULT; look at it, put the cause right, and start again with "
+                "--recover (over CRTK), or clear it at its console"
+            )
+        if arm.is_busy:
+            raise DriverError(f"{arm.name} is busy; put that right at its console, start again")
     return Found(None, ", ".join(f"{arm.name} {_will_be(arm)}" for arm in state.arms))
 
 

@@ -15,6 +15,7 @@ from viskill_deploy.drivers.crtk.opening import Network, open_transport
 from viskill_deploy.drivers.crtk.transport import Transport
 from viskill_deploy.runtime.driving import simulated_driver, with_inputs
 from viskill_deploy.runtime.poses import FILED, FiledPoses, PoseLimits, PoseSource, Things, sigma_of
+from viskill_deploy.runtime.recovering import Recoverable
 from viskill_deploy.runtime.topic_poses import TopicPoses
 from viskill_deploy.sim.world import WorldOptions
 
@@ -60,11 +61,13 @@ class Robot:
         driver: the driver, with the inputs that were asked for.
         node: its node on the network of topics; None where the driver has none.
         is_lent: the driver closes that node.
+        arms: who clears a fault of its arms; None where switching on does so.
     """
 
     driver: Driver
     node: Transport | None = None
     is_lent: bool = False
+    arms: Recoverable | None = None
 
     def close(self) -> None:
         """Holds, disables and closes everything; may be called twice."""
@@ -102,7 +105,7 @@ def _over_crtk(cell: CellDescription, options: RobotOptions) -> Robot:
     from viskill_deploy.drivers.crtk import robot as crtk  # noqa: PLC0415 - optional
 
     driver = crtk.connect(cell, options.transport, options.network)
-    return Robot(driver, driver.node, is_lent=True)
+    return Robot(driver, driver.node, is_lent=True, arms=driver)
 
 
 def things_of(

@@ -16,7 +16,10 @@ from viskill_deploy.drivers.crtk.arm import ArmClient
 STREAM_S: Final = 0.25
 """A stream that was not fed for this long has ended: the next setpoint begins another."""
 
-RECOVER: Final = "a person has to look at it and put the cause right, and may then call recover()"
+RECOVER: Final = (
+    "a person has to look at it, put the cause right, and then clear it: "
+    "viskill execute --recover, reset in viskill guard, recover() in code"
+)
 
 
 class Doubts:

@@ -22,7 +22,7 @@ from viskill_deploy.drivers.crtk.console import Console
 from viskill_deploy.drivers.crtk.doubts import Doubts, first, refuse
 from viskill_deploy.drivers.crtk.messages import Time
 from viskill_deploy.drivers.crtk.transport import Transport
-from viskill_deploy.drivers.crtk.wishes import DISABLE, ENABLE, HOME, PAUSE, Wish
+from viskill_deploy.drivers.crtk.wishes import DISABLE, ENABLE, HOME, PAUSE, RECOVER, Wish
 from viskill_deploy.drivers.watch import Watch
 from viskill_deploy.safety.checked import CheckedSetpoint
 
@@ -94,6 +94,11 @@ class CrtkDriver:
         return self._watch
 
     @property
+    def fault(self) -> str:
+        """Why a person has to look at the arms before they are enabled; "" when nobody has to."""
+        return self._doubts.look_for_faults()
+
+    @property
     def node(self) -> Transport:
         """Its node on the robot's network, for who listens there too."""
         return self._transport
@@ -156,7 +161,7 @@ class CrtkDriver:
             arm.hold()
 
     def disable(self) -> None:
-        """Takes power from every arm; readings say so again until it is so."""
+        """Takes power from every arm that has it; readings say so again until it is so."""
         self._connected()
         self._is_ready = False
         self._doubts.end_stream()
@@ -173,7 +178,7 @@ class CrtkDriver:
         """
         self._connected()
         self._is_ready = False
-        self._reach(DISABLE)
+        self._reach(RECOVER)
         self._doubts.forgive()
 
     def close(self) -> None:

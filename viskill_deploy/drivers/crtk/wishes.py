@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from viskill_deploy.drivers.base import DISABLED, ENABLED, PAUSED
-from viskill_deploy.drivers.crtk.arm import ArmClient
+from viskill_deploy.drivers.crtk.arm import FAULT, ArmClient
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +70,15 @@ PAUSE: Final = Wish(
     is_stop=True,
 )
 DISABLE: Final = Wish(
+    "disable",
+    lambda arm: "disable",
+    2.0,
+    lambda arm: arm.condition.state in {DISABLED, FAULT} and not arm.condition.is_busy,
+    is_stop=True,
+)
+"""An arm in FAULT has no power, and stays in FAULT until a person has looked at it."""
+
+RECOVER: Final = Wish(
     "disable",
     lambda arm: "disable",
     2.0,

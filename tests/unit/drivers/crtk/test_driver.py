@@ -449,6 +449,20 @@ def test_a_fault_stays_until_a_person_says_that_it_is_over(room: Room, driver: C
     assert room.arms[1].words == ["enable", "home", "disable", "enable", "home"]
 
 
+def test_who_closes_takes_power_and_leaves_a_fault_for_a_person_to_clear(
+    room: Room, driver: CrtkDriver
+):
+    ready(driver)
+    stream(driver)
+    room.arms[0].become("FAULT")
+    driver.state()
+    driver.disable()
+    wait(driver, 0.1)
+    driver.close()
+    assert [arm.state for arm in room.arms] == ["FAULT", "DISABLED"]
+    assert "disable" not in room.arms[0].words
+
+
 def test_out_of_fault_leads_disable_then_enable_then_home(room: Room):
     room.arms[0].become("FAULT")
     driver = driver_in(room)
