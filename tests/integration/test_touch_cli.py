@@ -6,14 +6,19 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+from calibrations import write_fresh
 from typer.testing import CliRunner
 
-from viskill_deploy.calibrate.truths import draw_robot
+from viskill_deploy.calibrate.truths import draw_robot, hidden_robot
 from viskill_deploy.cli.main import app
-from viskill_deploy.core.calibration_files import read_calibration
+from viskill_deploy.core.arm_errors import with_errors
+from viskill_deploy.core.calibration_files import calibrated, read_calibration
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import CalibrationError
+from viskill_deploy.sim.seeing import seen_from_board
+from viskill_deploy.sim.world import WorldOptions
 
 RUN = CliRunner()
 
@@ -146,3 +151,58 @@ def test_too_few_points_or_a_truth_in_a_real_arm_are_wrong_uses(tmp_path: Path) 
     many = RUN.invoke(app, [*touch, "--points", "99"])
     assert isinstance(many.exception, CalibrationError)
     assert "ask for fewer points" in str(many.exception)
+
+
+def test_a_board_that_was_moved_is_registered_anew_and_the_arms_stay(tmp_path: Path) -> None:
+    cell = load_cell("bipegtransfer")
+    old = write_fresh(tmp_path / "old.json", cell)
+    still = {"schema": 1, "cell": cell.name, "arms": {arm.name: {} for arm in cell.arms}}
+    shift, turn = [0.006, -0.004, 0.001], [0.0, 0.0, 0.05]
+    truth = tmp_path / "truth.json"
+    truth.write_text(json.dumps(still | {"board_translation_m": shift, "board_rotation_rad": turn}))
+    folder = tmp_path / "touched"
+    collect = ["calibrate", "collect", str(folder), "--source", "touch", "--truth", str(truth)]
+    assert RUN.invoke(app, [*collect, "--points", "8"]).exit_code == 0
+    fit = ["calibrate", "fit", str(folder), "--calibration", str(old), "-o"]
+    done = RUN.invoke(app, [*fit, str(tmp_path / "new.json"), "--json"])
+    assert done.exit_code == 0, done.output
+    board = json.loads(done.stdout)["board"]
+    T = np.array(board["T_task"])
+    np.testing.assert_allclose(T[:3, 3], shift, atol=3.0 * max(board["sigma"][:3]))
+    assert board["held_out_median_m"] < 2e-3
+    made = read_calibration(tmp_path / "new.json")
+    assert made.created == read_calibration(old).created
+    assert made.arms[0].sigma["base_translation_x_m"] > 0.0
+    moved = calibrated(cell, made, tmp_path / "new.json").arms[1].T_task_base
+    np.testing.assert_allclose(T @ moved, cell.arms[1].T_task_base, atol=1e-9)
+    np.testing.assert_allclose(moved[:3, :3] @ moved[:3, :3].T, np.eye(3), atol=1e-9)
+    done = RUN.invoke(app, [*fit, str(tmp_path / "new.json")])
+    assert "turned by 2." in done.stdout
+    empty = ["calibrate", "fit", str(tmp_path / "none"), "--calibration", str(old), "-o", "x.json"]
+    assert "holds no touches" in str(RUN.invoke(app, empty).exception)
+
+
+def test_shafts_beside_the_points_register_the_ports(points: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(points, tmp_path / "with_shafts")
+    cell, truth = load_cell("bipegtransfer"), draw_robot(load_cell("bipegtransfer"), 3)
+    true = seen_from_board(
+        with_errors(cell, truth.arms), hidden_robot("3", cell).world(cell, WorldOptions())
+    )
+    rng, port = np.random.default_rng(0), true.arms[0].T_task_base[:3, 3]
+    u = np.column_stack([rng.uniform(-0.4, 0.4, (15, 2)), -np.ones(15)])
+    rows = np.hstack([port + 0.06 * u + rng.normal(0.0, 2e-4, (15, 3)), u])
+    text = "\n".join(",".join(map(repr, row)) for row in rows.tolist())
+    (folder / "PSM1_shaft.csv").write_text(f"x_m,y_m,z_m,ux,uy,uz\n{text}\n")
+    done = RUN.invoke(
+        app, ["calibrate", "fit", str(folder), "-o", str(tmp_path / "c.json"), "--json"]
+    )
+    assert done.exit_code == 0, done.output
+    facts = json.loads(done.stdout)["arms"]
+    assert "port" not in facts["PSM2"]
+    one, other = read_calibration(tmp_path / "c.json").arms
+    assert other.port_in_base_m is None
+    assert np.linalg.norm(one.port_in_base_m or (1.0,)) < 4e-3, "its base is as wrong as this"
+    assert one.sigma["port_z_m"] == pytest.approx(facts["PSM1"]["port"]["sigma_m"][2], rel=1e-6)
+    (folder / "PSM2_shaft.csv").write_text(f"x_m,y_m,z_m,ux,uy,uz\n{text}\n")
+    wrong = RUN.invoke(app, ["calibrate", "port", str(folder)])
+    assert "remote centre" in str(wrong.exception)

@@ -14,16 +14,20 @@ from rich.progress import Progress
 from rich.table import Table
 
 from viskill_deploy.calibrate.apply import calibration_file
+from viskill_deploy.calibrate.board import arm_error_m, on_moved_board, touched_board
 from viskill_deploy.calibrate.fit import ArmFit, fit_arm
 from viskill_deploy.calibrate.judge import judge
 from viskill_deploy.calibrate.measurements import load
 from viskill_deploy.calibrate.parameters import NAMES
+from viskill_deploy.calibrate.port import port_of
 from viskill_deploy.calibrate.study import Study, Trial, figures
 from viskill_deploy.calibrate.truths import draw_robot
 from viskill_deploy.cli import collect
+from viskill_deploy.cli.poses_found import port_facts, port_words, pose_facts, pose_words
 from viskill_deploy.cli.touching import TOUCHES
-from viskill_deploy.core.calibration_files import write_calibration
-from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.arm_errors import with_errors
+from viskill_deploy.core.calibration_files import calibrated, read_calibration, write_calibration
+from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import CalibrationError
 from viskill_deploy.observe.calibration_report import write_calibration_report
 from viskill_deploy.observe.recording import Recorder
@@ -65,25 +69,79 @@ def fit_command(
     output: Annotated[Path, typer.Option("-o", "--output", help="The calibration to write.")],
     cell: CELL = "bipegtransfer",
     point: POINT = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            help="Keep this calibration's arms: only the board was moved, and touched anew."
+        ),
+    ] = None,
     method: Annotated[str, typer.Option(help="How it was measured, for people.")] = "points",
     json_: JSON = False,
 ) -> None:
-    """Fit bases, joint offsets, cables and delay of every arm, and write the calibration."""
+    """Fit bases, joint offsets, cables and delay of every arm, and write the calibration.
+
+    Where there is a file of an arm's shaft, `<arm>_shaft.csv`, its port is registered too.
+    """
     described = load_cell(cell)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    if calibration is not None:
+        _fit_board(described, folder, calibration, output, json_)
+        return
     files = {arm.name: folder / f"{arm.name}.csv" for arm in described.arms}
     fits = {arm.name: fit_arm(arm, load(files[arm.name], point)) for arm in described.arms}
+    found = with_errors(described, {name: fit.errors for name, fit in fits.items()})
+    shafts = [(arm, folder / f"{arm.name}_shaft.csv") for arm in found.arms]
+    ports = {arm.name: port_of(arm, path) for arm, path in shafts if path.exists()}
     taken = max(path.stat().st_mtime for path in files.values())
     created = datetime.datetime.fromtimestamp(taken, datetime.UTC).replace(microsecond=0)
-    calibration = calibration_file(described, fits, files, created, method)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    write_calibration(output, calibration)
+    written = calibration_file(described, fits, files, created, method, ports)
+    write_calibration(output, written)
     if json_:
-        print(json.dumps({"calibration": str(output), "arms": _facts(fits)}))
+        facts = _facts(fits)
+        for name, port in ports.items():
+            facts[name]["port"] = port_facts(port)
+        print(json.dumps({"calibration": str(output), "arms": facts}))
         return
     console = Console()
     for name, fit in fits.items():
         console.print(_table(name, fit))
+    for name, port in ports.items():
+        console.print(f"{name}: {port_words(port)}", highlight=False)
     console.print(f"Written: {output}")
+
+
+def _fit_board(
+    described: CellDescription, folder: Path, calibration: Path, output: Path, json_: bool
+) -> None:
+    """Keeps the arms of a calibration and registers the board alone."""
+    old = read_calibration(calibration)
+    board = touched_board(calibrated(described, old, calibration), arm_error_m(old), folder)
+    write_calibration(output, on_moved_board(old, board, folder))
+    facts = pose_facts(board)
+    if json_:
+        print(json.dumps({"calibration": str(output), "board": facts}))
+    else:
+        print(f"the board: {pose_words(board)}\nWritten: {output}")
+
+
+@app.command("port", epilog="Example: viskill calibrate port runs/shaft --cell bodytrainer")
+def port_command(
+    folder: Annotated[Path, typer.Argument(help="Shafts, <arm>_shaft.csv of every arm.")],
+    cell: CELL = "bipegtransfer",
+    json_: JSON = False,
+) -> None:
+    """Find the ports of a cell's arms, for `port_in_base_m` of its file.
+
+    A shaft is measured as lines, or, of an arm without a remote centre of its own, by its joints
+    while it is moved by hand with the shaft free in the port.
+    """
+    arms = load_cell(cell).arms
+    ports = {arm.name: port_of(arm, folder / f"{arm.name}_shaft.csv") for arm in arms}
+    if json_:
+        print(json.dumps({name: port_facts(port) for name, port in ports.items()}))
+        return
+    for name, port in ports.items():
+        print(f"{name}: {port_words(port)}")
 
 
 @app.command("report", epilog="Example: viskill calibrate report runs/points -o report.html")
