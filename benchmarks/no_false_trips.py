@@ -23,6 +23,7 @@ from viskill_deploy.core.errors import Interrupted
 from viskill_deploy.observe.labels import rule_label
 from viskill_deploy.runtime.dry_run import DryRunOptions, dry_run
 from viskill_deploy.runtime.preflight import Prepared, prepare
+from viskill_deploy.runtime.record import NoRecord
 from viskill_deploy.sim.world import WorldOptions
 
 POLICIES = Path(__file__).parents[1] / "policies"
@@ -36,22 +37,6 @@ NOISE = WorldOptions(
     jitter_s=0.003,
 )
 """Four times the resolution of a Classic's yaw encoder, 20 um of insertion, 0.2 mm of a tracker."""
-
-
-class NoRecord:
-    """A recorder that keeps nothing: the record has its own tests and benchmark."""
-
-    alive = True
-    process_id = 0
-
-    def cycle(self, *values: Any, **named: Any) -> None:
-        """Keeps nothing."""
-
-    def scene(self, *values: Any, **named: Any) -> None:
-        """Keeps nothing."""
-
-    def mark(self, *values: Any, **named: Any) -> None:
-        """Keeps nothing."""
 
 
 def one_run(prepared: Prepared, number: int, mode: str) -> dict[str, Any]:

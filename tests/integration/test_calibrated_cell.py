@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calibrations import calibration_of
+from calibrations import exact_calibration
 from measured_arm import TYPICAL
 from silent_recorder import SilentRecorder
 
-from viskill_deploy.core.arm_errors import ArmErrors, with_errors
+from viskill_deploy.core.arm_errors import ArmErrors
 from viskill_deploy.core.cables import Cables
-from viskill_deploy.core.calibration_files import CalibrationFile, calibrated
-from viskill_deploy.core.description import CellDescription, load_cell
+from viskill_deploy.core.calibration_files import calibrated
+from viskill_deploy.core.description import load_cell
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.runtime.dry_run import DryRunOptions, Mode, dry_run
 from viskill_deploy.runtime.preflight import Prepared, prepare
@@ -29,26 +29,8 @@ TRUTH = (TYPICAL, OTHER)
 CELL = load_cell("bipegtransfer")
 
 
-def exact_calibration(cell: CellDescription) -> CalibrationFile:
-    """What a perfect calibration of `TRUTH` would write."""
-    names = [arm.name for arm in cell.arms]
-    really = with_errors(cell, dict(zip(names, TRUTH, strict=True)))
-    found = calibration_of(really)
-    arms = tuple(
-        entry.model_copy(
-            update={
-                "joint_offset": errors.joint_offset,
-                "backlash_rad": errors.cables.backlash_rad,
-                "coupling": errors.cables.coupling,
-            }
-        )
-        for entry, errors in zip(found.arms, TRUTH, strict=True)
-    )
-    return found.model_copy(update={"arms": arms})
-
-
 def _calibrated(prepared: Prepared) -> Prepared:
-    file = exact_calibration(prepared.cell)
+    file = exact_calibration(prepared.cell, TRUTH)
     cell = calibrated(prepared.cell, file, Path("calibration/bipegtransfer.json"))
     return replace(prepared, cell=cell, task=load_task(prepared.task.name, cell))
 
@@ -59,7 +41,7 @@ def _run(prepared: Prepared, mode: Mode) -> dict[str, object]:
 
 
 def test_the_loopback_stands_where_the_files_say_whatever_a_calibration_says() -> None:
-    cell = calibrated(CELL, exact_calibration(CELL), Path("x.json"))
+    cell = calibrated(CELL, exact_calibration(CELL, TRUTH), Path("x.json"))
     assert cell.filed is CELL
     ours, filed = LoopbackDriver(cell).world.model, LoopbackDriver(CELL).world.model
     np.testing.assert_array_equal(ours.body_pos, filed.body_pos)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from viskill_deploy.core.arm_errors import ArmErrors, with_errors
 from viskill_deploy.core.calibration_files import CalibrationFile, write_calibration
 from viskill_deploy.core.description import CellDescription
 
@@ -35,6 +37,25 @@ def calibration_of(cell: CellDescription, /, **changes: Any) -> CalibrationFile:
         "data_sha256": "0" * 64,
     }
     return CalibrationFile.model_validate(content | changes)
+
+
+def exact_calibration(cell: CellDescription, truth: Sequence[ArmErrors]) -> CalibrationFile:
+    """What a perfect calibration of arms with these errors would write."""
+    names = [arm.name for arm in cell.arms]
+    really = with_errors(cell, dict(zip(names, truth, strict=True)))
+    found = calibration_of(really)
+    arms = tuple(
+        entry.model_copy(
+            update={
+                "joint_offset": errors.joint_offset,
+                "tool_length_m": errors.tool_length_m,
+                "backlash_rad": errors.cables.backlash_rad,
+                "coupling": errors.cables.coupling,
+            }
+        )
+        for entry, errors in zip(found.arms, truth, strict=True)
+    )
+    return found.model_copy(update={"arms": arms})
 
 
 def write_fresh(path: Path, cell: CellDescription, age_s: float = 0.0) -> Path:

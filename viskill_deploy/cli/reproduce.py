@@ -2,26 +2,95 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
 
 from viskill_deploy.core.errors import MissingExtraError
+from viskill_deploy.runtime.preflight import find_bundle
 
 EXAMPLE = "Example: viskill reproduce docs/results -o docs/reproduction.md"
 
 
 def command(
-    results: Annotated[Path, typer.Argument(help="Folder of result files.")],
+    results: Annotated[
+        Path, typer.Argument(help="Folder of result files; with --deployment, of trials.")
+    ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="The page; figures stand beside it.")
-    ] = Path("docs/reproduction.md"),
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="The page, docs/reproduction.md by default; figures beside it."
+        ),
+    ] = None,
+    deployment: Annotated[
+        bool,
+        typer.Option(
+            "--deployment",
+            help="The paper's trials on its dVRK, on hidden simulated robots, before and after "
+            "their calibration; started again it goes on where it was.",
+        ),
+    ] = False,
+    bundle: Annotated[Path, typer.Option(help="Policy bundle of --deployment.")] = Path(
+        "bipegtransfer-viskill"
+    ),
+    robots: Annotated[int, typer.Option(min=1, help="Hidden robots.")] = 20,
+    trials: Annotated[int, typer.Option(min=1, help="Trials of each kind on each robot.")] = 20,
+    samples: Annotated[
+        int, typer.Option(min=8, help="Rows of measurements an arm to calibrate a robot with.")
+    ] = 120,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first hidden robot.")] = 100,
+    processes: Annotated[int, typer.Option(min=1, help="That share the trials.")] = 1,
+    json_: Annotated[
+        bool, typer.Option("--json", help="Print the figures of --deployment as one JSON object.")
+    ] = False,
 ) -> None:
-    """Build the paper's Tables I and II, the figure of values and the times from result files."""
+    """Build the paper's Tables I and II, the figure of values and the times from result files.
+
+    With --deployment, run its trials on a robot instead, on simulated ones.
+    """
+    if deployment:
+        _deploy(results, output, bundle, (robots, trials, samples, seed), processes, json_)
+        return
     try:
         from viskill_deploy.train.reproduce import reproduce  # noqa: PLC0415 - torch is an extra
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "viskill reproduce") from error
-    for path in reproduce(results, output):
+    for path in reproduce(results, output or Path("docs/reproduction.md")):
         print(path)
+
+
+def _deploy(
+    folder: Path,
+    output: Path | None,
+    bundle: Path,
+    numbers: tuple[int, int, int, int],
+    processes: int,
+    as_json: bool,
+) -> None:
+    from viskill_deploy.calibrate.deployment import Deployment, run  # noqa: PLC0415 - slow to load
+    from viskill_deploy.calibrate.deployment_page import figures, page  # noqa: PLC0415
+
+    console = Console(stderr=True)
+    what = Deployment(find_bundle(bundle), *numbers)
+
+    def tell(note: str) -> None:
+        console.print(note, highlight=False, markup=False, soft_wrap=True)
+
+    trials = run(what, folder, processes, tell)
+    if output is not None:
+        command = f"viskill reproduce {folder} --deployment -o {output}"
+        options = zip(
+            ("robots", "trials", "samples", "seed"), numbers, (20, 20, 120, 100), strict=True
+        )
+        command += "".join(f" --{name} {n}" for name, n, usual in options if n != usual)
+        output.parent.mkdir(parents=True, exist_ok=True)
+        output.write_text(page(what, trials, command), encoding="utf-8")
+    if as_json:
+        print(json.dumps(figures(what, trials)))
+    elif output is not None:
+        print(output)
+    else:
+        print(page(what, trials, "viskill reproduce --deployment"))

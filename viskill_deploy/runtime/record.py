@@ -66,3 +66,19 @@ class Recorder(Protocol):
         first step of the skill that it lets begin.
         """
         ...
+
+
+class NoRecord:
+    """A record that nobody keeps: for studies of thousands of simulated runs, never for arms."""
+
+    alive = True
+    process_id = 0
+
+    def cycle(self, *values: object) -> None:
+        """Keeps nothing."""
+
+    def scene(self, *values: object) -> None:
+        """Keeps nothing."""
+
+    def mark(self, *values: object, **named: object) -> None:
+        """Keeps nothing."""

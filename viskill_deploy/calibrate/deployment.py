@@ -1,0 +1,290 @@
+"""A policy on hidden robots, before and after their calibration: one trial after the other.
+
+What the paper did on one dVRK, on many simulated ones. A trial is the same layout, seen with the
+same errors, on the same robot in every condition.
+"""
+
+from __future__ import annotations
+
+import datetime
+import functools
+import json
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from viskill_deploy.calibrate.apply import calibration_file
+from viskill_deploy.calibrate.collect import collect
+from viskill_deploy.calibrate.fit import fit_arm
+from viskill_deploy.calibrate.measurements import load
+from viskill_deploy.calibrate.programme import choose_poses
+from viskill_deploy.calibrate.study import poses_for
+from viskill_deploy.calibrate.truths import HiddenRobot, hidden_robot
+from viskill_deploy.core.calibration_files import calibrated, read_calibration, write_calibration
+from viskill_deploy.core.clock import MonotonicClock
+from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.errors import CalibrationError, KinematicsError, MotionError, SafetyStop
+from viskill_deploy.core.types import Scene
+from viskill_deploy.drivers.loopback import LoopbackDriver
+from viskill_deploy.runtime.boundaries import Job
+from viskill_deploy.runtime.dry_run import LAYOUTS, Mode
+from viskill_deploy.runtime.episodes import closed_loop, planned
+from viskill_deploy.runtime.ledger import EpisodeResult
+from viskill_deploy.runtime.line import Line
+from viskill_deploy.runtime.preflight import Prepared, prepare
+from viskill_deploy.runtime.record import NoRecord
+from viskill_deploy.runtime.session import Session
+from viskill_deploy.sim.tasks.base import load_task
+from viskill_deploy.sim.tracker import SimulatedTracker
+from viskill_deploy.sim.world import WorldOptions
+
+TRIALS = "trials.jsonl"
+CALIBRATING = WorldOptions(period_s=0.01)
+"""Poses are visited at 100 Hz: points at rest do not tell the difference, and it is quicker."""
+
+Condition = Literal["uncalibrated plan", "calibrated plan", "calibrated closed-loop"]
+CONDITIONS: tuple[Condition, ...] = (
+    "uncalibrated plan",
+    "calibrated plan",
+    "calibrated closed-loop",
+)
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """What is tried.
+
+    Attributes:
+        bundle: folder of the policy bundle.
+        robots: how many hidden robots; their seeds are `seed`, `seed` + 1, ….
+        trials: of each condition on each robot.
+        samples: rows of measurements an arm that a robot is calibrated with.
+        seed: of the first robot.
+    """
+
+    bundle: Path
+    robots: int = 20
+    trials: int = 20
+    samples: int = 120
+    seed: int = 100
+
+    def title(self) -> dict[str, Any]:
+        """What two files of trials have to have in common to be one."""
+        return {"bundle": self.bundle.name, "samples": self.samples, "seed": self.seed}
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One trial, ready for JSON.
+
+    Attributes:
+        robot: seed of the hidden robot.
+        number: of the layout.
+        start_m: where the block really lay, task frame of the board, x and y.
+        seen_off_m: how far from there it was seen, in the plane.
+        seen_turned_rad: by what it seemed turned.
+        stopped_by: rule for which the gate stepped in; "" if it did not.
+        refused: why nothing was run; "" where it was.
+    """
+
+    robot: int
+    number: int
+    condition: Condition
+    success: bool
+    start_m: tuple[float, float]
+    seen_off_m: float
+    seen_turned_rad: float
+    stopped_by: str
+    refused: str
+    seconds: float
+
+
+def run(
+    what: Deployment,
+    folder: Path,
+    processes: int = 1,
+    tell: Callable[[str], None] = lambda note: None,
+) -> list[Trial]:
+    """Runs what is not in the folder yet; every trial is written as soon as it is over.
+
+    Args:
+        what: what is tried.
+        folder: gets `trials.jsonl` and every robot's measurements and calibration.
+        processes: that share the work; the result does not depend on it.
+        tell: told what is done.
+
+    Raises:
+        CalibrationError: the folder holds trials of something else.
+        SafetyStop: the gate stepped in while a robot was measured.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / TRIALS
+    done = read_trials(path, what)
+    known = {(trial.robot, trial.number, trial.condition) for trial in done}
+    robots = range(what.seed, what.seed + what.robots)
+    for robot in _each(processes, _calibrate, [(what, folder, robot) for robot in robots]):
+        tell(f"robot {robot} is calibrated")
+    wanted = [
+        (what, folder, robot, number, condition)
+        for robot in robots
+        for number in range(what.trials)
+        for condition in CONDITIONS
+        if (robot, number, condition) not in known
+    ]
+    with path.open("a", encoding="utf-8") as file:
+        for trial in _each(processes, _try, wanted):
+            file.write(json.dumps(asdict(trial)) + "\n")
+            file.flush()
+            done.append(trial)
+            tell(f"robot {trial.robot}, trial {trial.number}, {trial.condition}: {_came_to(trial)}")
+    return [trial for trial in done if trial.robot in robots and trial.number < what.trials]
+
+
+def _came_to(trial: Trial) -> str:
+    return "done" if trial.success else trial.stopped_by or trial.refused or "missed"
+
+
+def _each(processes: int, function: Callable[..., Any], work: Sequence[tuple[Any, ...]]) -> Any:
+    """Results as they come, here or in processes of their own."""
+    if processes == 1:
+        yield from (function(*arguments) for arguments in work)
+        return
+    with ProcessPoolExecutor(processes) as pool:
+        futures = [pool.submit(function, *arguments) for arguments in work]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def read_trials(path: Path, what: Deployment) -> list[Trial]:
+    """Trials that are there already; begins the file where there is none.
+
+    Raises:
+        CalibrationError: they are of something else.
+    """
+    title = json.dumps(what.title())
+    if not path.exists():
+        path.write_text(title + "\n", encoding="utf-8")
+        return []
+    text = path.read_text(encoding="utf-8")
+    whole = text[: text.rfind("\n") + 1]
+    first, *rest = whole.splitlines() or [""]
+    if first != title:
+        raise CalibrationError(f"{path}: holds trials of {first}, not {title}; name another folder")
+    if whole != text:  # the last one was cut off while it was written
+        path.write_text(whole, encoding="utf-8")
+    return [_read(line) for line in rest]
+
+
+def _read(line: str) -> Trial:
+    row = json.loads(line)
+    return Trial(**row | {"start_m": tuple(row["start_m"])})
+
+
+@functools.cache
+def _prepared(bundle: Path) -> Prepared:
+    return prepare(bundle)
+
+
+def _robot(cell: CellDescription, seed: int) -> HiddenRobot:
+    return hidden_robot(str(seed), cell)
+
+
+def _file_of(folder: Path, robot: int) -> Path:
+    return folder / f"robot-{robot}.json"
+
+
+def _calibrate(what: Deployment, folder: Path, robot: int) -> int:
+    """Measures a robot and writes its calibration, where there is none; returns the robot."""
+    file = _file_of(folder, robot)
+    if file.exists():
+        return robot
+    cell = _prepared(what.bundle).cell
+    hidden, arms = _robot(cell, robot), range(len(cell.arms))
+    count = poses_for(what.samples)
+    poses = np.stack([choose_poses(cell, arm, count, robot) for arm in arms], axis=1)
+    with closing(LoopbackDriver(cell, hidden.world(cell, CALIBRATING), robot)) as driver:
+        driver.connect()
+        driver.reset(_layout(_prepared(what.bundle), robot, 0))
+        tracker = SimulatedTracker(driver.world, hidden.tracker(cell), robot)
+        line = Line(cell, driver.period_s)
+        with Session(cell, driver, line, NoRecord()) as session:
+            programme = f"robot {robot}, {count} poses"
+            found = collect(session, tracker, poses, folder / f"robot-{robot}", programme)
+    fits = {arm.name: fit_arm(arm, load(found.files[arm.name]), robot) for arm in cell.arms}
+    now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
+    content = calibration_file(cell, fits, found.files, now, "a simulated tracker")
+    whole = file.with_suffix(".part")
+    write_calibration(whole, content)
+    whole.rename(file)  # a file that is there is whole
+    return robot
+
+
+def _layout(prepared: Prepared, robot: int, number: int) -> Scene:
+    task = prepared.task
+    rng = np.random.default_rng([LAYOUTS, robot, number])
+    return task.sample_layout(rng, task.distributions[0])
+
+
+def _try(what: Deployment, folder: Path, robot: int, number: int, condition: Condition) -> Trial:
+    """One trial."""
+    prepared = _prepared(what.bundle)
+    layout = _layout(prepared, robot, number)
+    world = _robot(prepared.cell, robot).world(prepared.cell, WorldOptions())
+    if condition != "uncalibrated plan":
+        file = _file_of(folder, robot)
+        cell = calibrated(prepared.cell, read_calibration(file), file)
+        prepared = replace(prepared, cell=cell, task=load_task(prepared.task.name, cell))
+    mode: Mode = "closed-loop" if condition.endswith("closed-loop") else "plan"
+    clock = MonotonicClock()
+    began = clock.now()
+    driver = LoopbackDriver(prepared.cell, world, 1000 * robot + number)
+    driver.connect()
+    driver.reset(layout)
+    off = driver.world.seeing.error(layout.active)
+    result = _episode(prepared, driver, mode, np.random.default_rng([LAYOUTS, robot, number, 1]))
+    x, y = layout.pose(layout.active)[:2, 3].tolist()
+    return Trial(
+        robot,
+        number,
+        condition,
+        result.success,
+        (x, y),
+        float(np.hypot(off[0], off[1])),
+        float(off[3]),
+        result.stopped_by,
+        result.refused,
+        round(clock.now() - began, 2),
+    )
+
+
+def _episode(
+    prepared: Prepared, driver: LoopbackDriver, mode: Mode, rng: np.random.Generator
+) -> EpisodeResult:
+    line = Line(prepared.cell, driver.period_s)
+    training = prepared.bundle.manifest.training_range.seen
+    with Session(prepared.cell, driver, line, NoRecord(), training) as session:
+        try:
+            play = planned if mode == "plan" else closed_loop
+            return play(session, Job(prepared.bundle, prepared.task, 1), rng, 0)
+        except (MotionError, KinematicsError, SafetyStop) as error:  # before anything moved
+            session.settle()
+            return EpisodeResult(0, refused=str(error))
+
+
+def of_condition(trials: Sequence[Trial], condition: Condition) -> list[Trial]:
+    """The trials of one condition."""
+    return [trial for trial in trials if trial.condition == condition]
+
+
+def by_robot(trials: Sequence[Trial]) -> Iterator[list[Trial]]:
+    """The trials of each robot."""
+    for robot in sorted({trial.robot for trial in trials}):
+        yield [trial for trial in trials if trial.robot == robot]
