@@ -40,12 +40,16 @@ class Landmark:
     Attributes:
         name: such as "peg3".
         position: in the frame of the board (the task frame) or of the thing, (3,) m.
+        thing: what it is a point of; "" for what stands in the cell's file.
     """
 
     name: str
     position: FloatArray
+    thing: str = ""
 
     def __str__(self) -> str:
+        if self.thing:
+            return f"{self.name}, a corner of its top; each once, in any order"
         x, y, z = (1e3 * self.position).tolist()
         return f"{self.name} (x {x:.1f}, y {y:.1f}, z {z:.1f} mm)"
 
@@ -74,7 +78,7 @@ def board_landmarks(cell: CellDescription) -> tuple[Landmark, ...]:
     return tuple(found)
 
 
-def block_landmarks(cell: CellDescription) -> tuple[Landmark, ...]:
+def block_landmarks(cell: CellDescription, thing: str = "block0") -> tuple[Landmark, ...]:
     """The corners of a block's top, in the block's frame.
 
     Raises:
@@ -89,8 +93,9 @@ def block_landmarks(cell: CellDescription) -> tuple[Landmark, ...]:
     angles = 2.0 * np.pi * np.arange(CORNERS) / CORNERS
     return tuple(
         Landmark(
-            f"corner{i}",
+            f"{thing}/corner{i}",
             np.array([*(block.corner_radius_m * np.array([c, s])), block.height_m / 2.0]),
+            thing,
         )
         for i, (c, s) in enumerate(zip(np.cos(angles), np.sin(angles), strict=True))
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +48,7 @@ class SimulatedHand:
         cell: the arms as their files have them.
         world: what arms and board really are, and what encoders say; as the files say by default.
         options: how well it is done.
+        things: where things are on the board, (4, 4) by name.
         seed: of noise and postures.
 
     Attributes:
@@ -59,12 +61,13 @@ class SimulatedHand:
         world: WorldOptions | None = None,
         options: HandOptions | None = None,
         seed: int = 0,
+        things: Mapping[str, FloatArray] | None = None,
     ) -> None:
         self.clock: Clock = SteppedClock()
         self.period_s, self.notes = 0.01, list[str]()
         self._cell, self._world = cell, world or WorldOptions()
         self._options, self._T_task_board = options or HandOptions(), board_pose(self._world)
-        self._rng = np.random.default_rng([seed, 11])
+        self._rng, self._things = np.random.default_rng([seed, 11]), things or {}
         errors = self._world.truth or (ArmErrors(),) * len(cell.arms)
         self._vectors = [vector_of(each) for each in errors]
         self._models = [ErrorModel(arm) for arm in cell.arms]
@@ -84,7 +87,8 @@ class SimulatedHand:
         options = self._options
         slips = self._rng.random() < options.slip_share
         spread = options.slip_m if slips else options.noise_m
-        place = self._T_task_board @ np.array([*landmark.position, 1.0])
+        T = self._T_task_board @ self._things.get(landmark.thing, np.eye(4))
+        place = T @ np.array([*landmark.position, 1.0])
         target = place[:3] + self._rng.normal(0.0, spread, 3)
         self.joints[arm] = self._at(arm, target)
         return ""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
+
+import numpy as np
 
 from viskill_deploy.calibrate.fit import FEWEST, misfits
 from viskill_deploy.calibrate.landmarks import Landmark
@@ -12,6 +14,7 @@ from viskill_deploy.calibrate.resting import Arms, rested
 from viskill_deploy.calibrate.touch_book import TouchBook
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import CalibrationError, Interrupted
+from viskill_deploy.core.types import FloatArray
 
 DOUBTFUL_M, DOUBTFUL = 0.002, 3.0
 """A touch is doubtful that is farther from where the others put it than this, and than this many
@@ -39,12 +42,25 @@ class Hand(Protocol):
         ...
 
 
+Off = Callable[[CellDescription, int, TouchBook], FloatArray]
+"""How far every touch of an arm is from where the others put it, (n,) m."""
+
+
+def off_of_arm(cell: CellDescription, index: int, book: TouchBook) -> FloatArray:
+    """The same for points of the board, whatever the arm's base and joint 3 are."""
+    if len(book.touches) < FEWEST:
+        return np.zeros(len(book.touches))
+    return misfits(cell.arms[index], book.measurements())
+
+
 def touch(
     cell: CellDescription,
     arms: Arms,
     hand: Hand,
     wanted: Sequence[Sequence[Landmark]],
     folder: Path,
+    off: Off = off_of_arm,
+    what: str = "touch",
 ) -> dict[str, TouchBook]:
     """Has every arm touch its points, and writes each down; goes on where it was.
 
@@ -54,6 +70,8 @@ def touch(
         hand: who brings them there.
         wanted: points of every arm.
         folder: gets `<arm>.csv`.
+        off: how far each touch of an arm is from where the others put it, m.
+        what: is measured; files of something else are not gone on with.
 
     Returns:
         The touches of every arm, by name.
@@ -64,14 +82,14 @@ def touch(
         DriverError: an arm is lost; what was touched is kept.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    title = f"touch: cell {cell.name}"
+    title = f"{what}: cell {cell.name}"
     books = {
         arm.name: TouchBook(folder / f"{arm.name}.csv", title, arm.arm.jaw.finger_length_m)
         for arm in cell.arms
     }
     hand.tell(HELP)
     for index, (book, marks) in enumerate(zip(books.values(), wanted, strict=True)):
-        _Touching(cell, arms, hand, book, index).all_of(marks)
+        _Touching(cell, arms, hand, book, index, off).all_of(marks)
     return books
 
 
@@ -79,17 +97,22 @@ class _Touching:
     """One arm's points."""
 
     def __init__(
-        self, cell: CellDescription, arms: Arms, hand: Hand, book: TouchBook, index: int
+        self,
+        cell: CellDescription,
+        arms: Arms,
+        hand: Hand,
+        book: TouchBook,
+        index: int,
+        off: Off,
     ) -> None:
-        self._arm, self._arms, self._hand = cell.arms[index], arms, hand
-        self._book, self._index = book, index
+        self._cell, self._arm, self._arms = cell, cell.arms[index], arms
+        self._hand, self._book, self._index, self._off = hand, book, index, off
 
     def all_of(self, marks: Sequence[Landmark]) -> None:
         """All points that were not touched yet, and then the doubtful ones again."""
         self._each([mark for mark in marks if mark.name not in self._book.touches], marks)
         for _ in range(ROUNDS):
-            doubtful = self._doubtful()
-            again = [m for m in marks if m.name in doubtful and self._is_again(m, doubtful)]
+            again = self._again([mark for mark in marks if mark.name in self._book.touches])
             if not again:
                 return
             self._each(again, marks)
@@ -121,20 +144,21 @@ class _Touching:
         self._book.put(mark, seen)
         return True
 
-    def _doubtful(self) -> dict[str, float]:
-        """How far, m, the touches are off that do not fit the others, by name of the point."""
-        if len(self._book.touches) < FEWEST:
-            return {}
+    def _again(self, marks: Sequence[Landmark]) -> list[Landmark]:
+        """The points that a person is going to touch again, because they do not fit the others."""
+        if not marks:
+            return []
         try:
-            off = misfits(self._arm, self._book.measurements())
+            off = self._off(self._cell, self._index, self._book)
         except CalibrationError as error:
-            self._hand.tell(f"{self._arm.name}: {error}")
-            return {}
-        limit = max(DOUBTFUL_M, DOUBTFUL * float(sorted(off)[len(off) // 2]))
-        pairs = zip(self._book.touches, off.tolist(), strict=True)
-        return {name: far for name, far in pairs if far > limit}
+            words = f"{self._arm.name}: {error}. Names of points to touch again, or Enter: none"
+            said = self._hand.bring(self._index, marks[0], words).split()
+            return [mark for mark in marks if mark.name in said]
+        limit = max(DOUBTFUL_M, DOUBTFUL * float(np.median(off))) if len(off) else 0.0
+        far = dict(zip(self._book.touches, off.tolist(), strict=True))
+        return [m for m in marks if far[m.name] > limit and self._is_again(m, far[m.name])]
 
-    def _is_again(self, mark: Landmark, doubtful: dict[str, float]) -> bool:
-        far = 1e3 * doubtful[mark.name]
+    def _is_again(self, mark: Landmark, far_m: float) -> bool:
+        far = 1e3 * far_m
         words = f"{self._arm.name}: {mark.name} is {far:.1f} mm off what the others say. {KEEP}"
         return self._hand.bring(self._index, mark, words).strip().lower() != "k"

@@ -22,7 +22,7 @@ from viskill_deploy.calibrate.parameters import NAMES
 from viskill_deploy.calibrate.port import port_of
 from viskill_deploy.calibrate.study import Study, Trial, figures
 from viskill_deploy.calibrate.truths import draw_robot
-from viskill_deploy.cli import collect
+from viskill_deploy.cli import collect, measure_scene
 from viskill_deploy.cli.poses_found import port_facts, port_words, pose_facts, pose_words
 from viskill_deploy.cli.touching import TOUCHES
 from viskill_deploy.core.arm_errors import with_errors
@@ -49,6 +49,7 @@ JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothi
 
 
 app.command("collect", epilog=collect.EXAMPLE)(collect.command)
+app.command("scene", epilog=measure_scene.EXAMPLE)(measure_scene.command)
 
 
 @app.command("truth", epilog="Example: viskill calibrate truth 3 -o runs/robot3.json")

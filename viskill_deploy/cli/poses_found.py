@@ -8,6 +8,7 @@ import numpy as np
 
 from viskill_deploy.calibrate.port import Port
 from viskill_deploy.calibrate.pose_fit import PoseFit
+from viskill_deploy.calibrate.seen_poses import PoseMean
 
 
 def pose_facts(fit: PoseFit) -> dict[str, Any]:
@@ -34,6 +35,23 @@ def pose_words(fit: PoseFit) -> str:
         f"{_mm(fit.T[:3, 3])} mm, turned by {turn:.2f} degrees; known within "
         f"{1e3 * sigma[:3].max():.2f} mm and {worst:.2f} degrees (one sigma), "
         f"{len(fit.is_inlier)} points{seen}{wrong}"
+    )
+
+
+def mean_facts(mean: PoseMean) -> dict[str, Any]:
+    """A pose that was seen many times, for JSON."""
+    sigma = np.sqrt(np.diag(mean.covariance)).tolist()
+    counts = {"looks": mean.looks, "left_out": mean.left_out}
+    return {"T_task": mean.T.tolist(), "sigma": sigma} | counts
+
+
+def mean_words(mean: PoseMean) -> str:
+    """The same for people."""
+    sigma = np.sqrt(np.diag(mean.covariance))
+    return (
+        f"{_mm(mean.T[:3, 3])} mm; known within {1e3 * sigma[:3].max():.2f} mm and "
+        f"{np.degrees(sigma[3:].max()):.2f} degrees (one sigma), {mean.looks} looks, "
+        f"{mean.left_out} left out"
     )
 
 

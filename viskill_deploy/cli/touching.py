@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +25,7 @@ from viskill_deploy.calibrate.truths import HiddenRobot
 from viskill_deploy.cli.serve import TransportChoice
 from viskill_deploy.cli.terminal import Terminal
 from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.types import FloatArray
 from viskill_deploy.drivers.crtk.listening import listen
 from viskill_deploy.drivers.crtk.opening import Network
 from viskill_deploy.runtime.operator import Operator
@@ -98,8 +99,15 @@ class Person:
 
 
 @contextmanager
-def touched_by(cell: CellDescription, who: TouchedBy) -> Iterator[tuple[Arms, Hand]]:
+def touched_by(
+    cell: CellDescription, who: TouchedBy, things: Mapping[str, FloatArray] | None = None
+) -> Iterator[tuple[Arms, Hand]]:
     """The arms, connected, and who moves them. Nothing is ever sent to an arm.
+
+    Args:
+        cell: the cell as the program believes it to be; simulated arms are as its files say.
+        who: which arms.
+        things: where simulated things are, board's frame, (4, 4) by name.
 
     Raises:
         DriverError: the arms are not heard.
@@ -109,7 +117,8 @@ def touched_by(cell: CellDescription, who: TouchedBy) -> Iterator[tuple[Arms, Ha
         world = WorldOptions()
         if who.hidden is not None:
             world = who.hidden.world(cell, world)
-        hand = SimulatedHand(cell, world, HandOptions(who.noise_m, who.slips), who.seed)
+        options = HandOptions(who.noise_m, who.slips)
+        hand = SimulatedHand(cell.filed or cell, world, options, who.seed, things)
         yield hand, hand
         return
     if who.hidden is not None:

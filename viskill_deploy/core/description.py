@@ -144,6 +144,16 @@ def rpy_matrix(roll: float, pitch: float, yaw: float) -> FloatArray:
     )
 
 
+def rpy_of(R: FloatArray) -> tuple[float, float, float]:
+    """Fixed-axis x, y, z angles of a rotation (3, 3), rad; `rpy_matrix` brings it back."""
+    r = R.tolist()
+    return (
+        math.atan2(r[2][1], r[2][2]),
+        math.atan2(-r[2][0], math.hypot(r[0][0], r[1][0])),
+        math.atan2(r[1][0], r[0][0]),
+    )
+
+
 def join(robot: RobotFile, tool: ToolFile, files: tuple[Path, ...]) -> ArmDescription:
     """Puts an instrument into a robot.
 
