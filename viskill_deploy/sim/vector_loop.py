@@ -7,7 +7,7 @@ control periods. Environments know nothing of each other.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from viskill_deploy.motion.vector_smoothing import Segments, VectorPlanner
 from viskill_deploy.motion.vector_waypoints import Waypoints, apply_actions, targets, tips
 from viskill_deploy.sim import vector_task
 from viskill_deploy.sim.tasks.base import SkillSpec, Task
-from viskill_deploy.sim.vector_physics import VectorPhysics
+from viskill_deploy.sim.vector_physics import Moment, VectorPhysics
 from viskill_deploy.sim.world import WorldOptions
 
 BoolArray = npt.NDArray[np.bool_]
@@ -39,6 +39,8 @@ class EpisodeState:
         active: name of the object to manipulate.
         goal: where it has to go, task frame, (3,) m.
         flags: the task's contact flags, (k,).
+        robot: index of the hidden robot that it is of; 0 where there are none.
+        hidden: what that robot remembers.
     """
 
     physics: FloatArray
@@ -50,6 +52,8 @@ class EpisodeState:
     active: str
     goal: FloatArray
     flags: FloatArray
+    robot: int = 0
+    hidden: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 class VectorLoop:
@@ -62,6 +66,8 @@ class VectorLoop:
         bystanders: whether their worlds hold the free things that are not to be moved; quicker and
             the same without, as long as nothing would have touched them (see `VectorPhysics`).
         threads: of physics; the result does not depend on it.
+        robots: hidden robots (truth, board and how things are seen), one after the other an
+            environment's; () for arms as the cell's files say.
 
     Attributes:
         task, count: as given.
@@ -77,10 +83,11 @@ class VectorLoop:
         options: WorldOptions | None = None,
         bystanders: bool = True,
         threads: int = 1,
+        robots: Sequence[WorldOptions] = (),
     ) -> None:
         self.task, self.count = task, count
         self._physics = VectorPhysics(
-            task.cell, count, options or WorldOptions(), bystanders, threads
+            task.cell, count, options or WorldOptions(), bystanders, threads, robots
         )
         self._period_s = self._physics.world.options.period_s
         self._planner = VectorPlanner(task.cell, self._period_s)
@@ -124,7 +131,7 @@ class VectorLoop:
         may creep by less than 0.1 um. All else goes on as it would have.
         """
         self._physics.restore(
-            {i: (state.physics, state.pending, state.aside) for i, state in states.items()},
+            {i: _moment(state) for i, state in states.items()},
             {i: (state.active, state.goal) for i, state in states.items()},
         )
         for index, state in states.items():
@@ -139,18 +146,20 @@ class VectorLoop:
 
     def save(self, index: int) -> EpisodeState:
         """The present moment of an environment."""
-        motion, (physics, pending, aside) = self._motion, self._physics.save(index)
+        motion, moment = self._motion, self._physics.save(index)
         active, goal = self._physics.active(index)
         return EpisodeState(
-            physics,
+            moment.physics,
             np.stack([motion.p[index], motion.v[index], motion.a[index]]),
             self._last.T_task_tip[index].copy(),
             self._last.jaw[index].copy(),
-            pending,
-            aside,
+            moment.pending,
+            moment.aside,
             active,
             goal,
             self._flags_of(index),
+            moment.robot,
+            moment.hidden,
         )
 
     def observe(self) -> FloatArray:
@@ -245,3 +254,8 @@ class VectorLoop:
         if self._tips is None:
             self._tips = tips(self.task.cell, self._physics.axes()[..., :6])
         return self._tips
+
+
+def _moment(state: EpisodeState) -> Moment:
+    """What the physics keeps of a moment."""
+    return Moment(state.physics, state.pending, state.aside, state.robot, state.hidden)

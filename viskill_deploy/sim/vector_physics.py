@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import ViskillError
 from viskill_deploy.core.types import ActiveObject, FloatArray, Scene
+from viskill_deploy.sim.vector_robots import HiddenRobots
 from viskill_deploy.sim.vector_scenes import Scenes, ThingPoses
 from viskill_deploy.sim.vector_worlds import IntArray, Worlds
 from viskill_deploy.sim.world import World, WorldOptions, controls
@@ -18,6 +20,25 @@ from viskill_deploy.sim.world import World, WorldOptions, controls
 V = TypeVar("V")
 EVERYTHING = ""
 """Kind of the worlds that hold every thing; others are called after their active object."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A moment of one world.
+
+    Attributes:
+        physics: MuJoCo's integration state.
+        pending: controls that are on their way, (delay periods, 2 axes).
+        aside: poses of things that are not simulated, (things, 4, 4).
+        robot: index of its hidden robot; 0 where there are none.
+        hidden: what that robot remembers.
+    """
+
+    physics: FloatArray
+    pending: FloatArray
+    aside: FloatArray
+    robot: int
+    hidden: FloatArray
 
 
 class VectorPhysics:
@@ -31,6 +52,7 @@ class VectorPhysics:
             them a step is up to twice as quick and the same to the last bit, as long as nothing
             would have touched one; they are then seen where the scene of the reset had put them.
         threads: of physics.
+        robots: hidden robots, one after the other an environment's; () for none.
 
     Attributes:
         world: a world that holds everything.
@@ -46,6 +68,7 @@ class VectorPhysics:
         options: WorldOptions,
         bystanders: bool = True,
         threads: int = 1,
+        robots: Sequence[WorldOptions] = (),
     ) -> None:
         if not options.is_plain:
             raise ValueError(
@@ -53,9 +76,10 @@ class VectorPhysics:
             )
         self.world, self.count, self._bystanders = World(cell, options), count, bystanders
         self._threads = threads
+        self._hidden = HiddenRobots(cell, options, robots, count) if robots else None
         self._groups: dict[str, Worlds] = {}
         if bystanders:
-            self._groups[EVERYTHING] = Worlds(self.world, count, threads)
+            self._groups[EVERYTHING] = self._side_by_side(self.world, None)
         self._active = [(*self.world.things, "")[0]] * count
         self._started: npt.NDArray[np.bool_] = np.zeros(count, dtype=bool)
         self._goal: FloatArray = np.zeros((count, 3))
@@ -71,7 +95,7 @@ class VectorPhysics:
         axes = np.repeat(self.world.home[None], self.count, axis=0)
         for worlds, which in self._running():
             axes[which] = worlds.axes(which)
-        return axes
+        return axes if self._hidden is None else self._hidden.measured(axes)
 
     def goals(self) -> FloatArray:
         """Where the active objects have to go, (N, 3) m."""
@@ -84,6 +108,8 @@ class VectorPhysics:
             columns = [names.index(name) for name in worlds.world.things]
             poses[which[:, None], columns] = worlds.poses(which)
             times[which] = worlds.times(which)
+        if self._hidden is not None:
+            poses = self._hidden.shown(poses)
         return Scenes(times, names, poses, tuple(self._active), self.goals())
 
     def reset(self, scenes: Mapping[int, Scene], axes: Mapping[int, FloatArray]) -> None:
@@ -100,14 +126,23 @@ class VectorPhysics:
                 self._aside[index, self.world.things.index(thing.name)] = thing.T_task_object
             start = axes.get(index, self.world.home)
             self._pending[index] = controls(start, np.zeros_like(start))
+            if self._hidden is not None:
+                self._hidden.begin(index, scene, start)
         for worlds, mine in self._by_kind(scenes):
             names = worlds.world.things
             worlds.reset({index: _with_only(scene, names) for index, scene in mine}, axes)
 
-    def save(self, index: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Integration state, controls that are on their way, and poses of things not simulated."""
+    def save(self, index: int) -> Moment:
+        """The present moment of a world."""
         state = self._group(self._kind(index)).state[index]
-        return state.copy(), self._pending[index].copy(), self._aside[index].copy()
+        hidden = self._hidden
+        return Moment(
+            state.copy(),
+            self._pending[index].copy(),
+            self._aside[index].copy(),
+            0 if hidden is None else int(hidden.of[index]),
+            np.zeros(0) if hidden is None else hidden.save(index),
+        )
 
     def active(self, index: int) -> tuple[str, FloatArray]:
         """Name of a world's active object, and where it has to go."""
@@ -115,15 +150,17 @@ class VectorPhysics:
 
     def restore(
         self,
-        saved: Mapping[int, tuple[FloatArray, FloatArray, FloatArray]],
+        saved: Mapping[int, Moment],
         active: Mapping[int, tuple[str, FloatArray]],
     ) -> None:
         """`World.restore` of some worlds, whatever they did before, from `save` and `active`."""
-        for index, (_, pending, aside) in saved.items():
+        for index, moment in saved.items():
             self._attend(index, *active[index])
-            self._pending[index], self._aside[index] = pending, aside
+            self._pending[index], self._aside[index] = moment.pending, moment.aside
+            if self._hidden is not None:
+                self._hidden.restore(index, moment.robot, moment.hidden)
         for worlds, mine in self._by_kind(saved):
-            worlds.restore({index: state for index, (state, _, _) in mine})
+            worlds.restore({index: moment.physics for index, moment in mine})
 
     def run(self, which: IntArray, positions: FloatArray, velocities: FloatArray) -> list[int]:
         """Lets some worlds pass a segment of the same length.
@@ -139,11 +176,13 @@ class VectorPhysics:
         sent, periods = controls(positions, velocities).swapaxes(0, 1), len(positions)
         rows = np.concatenate([self._pending[which], sent], axis=1)
         self._pending[which] = rows[:, periods:]
-        failed: list[int] = []
+        arrived, failed = rows[:, :periods], list[int]()
+        if self._hidden is not None:
+            arrived = self._hidden.felt(which, arrived)
         for worlds, members in self._running():
             mine = np.isin(which, members)
             if mine.any():
-                failed += worlds.run(which[mine], rows[mine, :periods])
+                failed += worlds.run(which[mine], arrived[mine])
         return failed
 
     def active_objects(self, which: Sequence[int]) -> list[ActiveObject]:
@@ -172,8 +211,14 @@ class VectorPhysics:
         """The worlds of a kind, made when the first of them is needed."""
         if kind not in self._groups:
             world = World(self.world.cell, self.world.options, only=kind)
-            self._groups[kind] = Worlds(world, self.count, self._threads)
+            self._groups[kind] = self._side_by_side(world, kind)
         return self._groups[kind]
+
+    def _side_by_side(self, world: World, only: str | None) -> Worlds:
+        if self._hidden is None:
+            return Worlds(world, self.count, self._threads)
+        robots = self._hidden.worlds(only)
+        return Worlds(world, self.count, self._threads, robots, self._hidden.of)
 
     def _running(self) -> list[tuple[Worlds, IntArray]]:
         """Every kind's worlds, and which of them are in use."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -23,14 +23,25 @@ class Worlds:
         world: one of their kind, which lends its model and its knowledge of it.
         count: number of worlds.
         threads: that share their steps; the result does not depend on it.
+        robots: a world of every robot, where they are not all of `world`'s.
+        of: index of each world's robot, (N,); may change before a reset or restore.
 
     Attributes:
         world: as given.
         state: MuJoCo's integration state of every world, (N, size).
     """
 
-    def __init__(self, world: World, count: int, threads: int = 1) -> None:
+    def __init__(
+        self,
+        world: World,
+        count: int,
+        threads: int = 1,
+        robots: Sequence[World] = (),
+        of: IntArray | None = None,
+    ) -> None:
         self.world = world
+        self._robots, self._of = robots, np.zeros(count, dtype=np.intp) if of is None else of
+        self._set_to: list[int] = []
         self._batch = Batch(world.model, count, nthread=threads, persistent=True)
         self._poses = ThingPoses(world.model, world.things)
         self._qpos, self._time = self._batch.bind("qpos"), self._batch.bind("time")
@@ -56,9 +67,11 @@ class Worlds:
     def reset(self, scenes: Mapping[int, Scene], axes: Mapping[int, FloatArray]) -> None:
         """`World.reset` of some worlds."""
         rows = []
+        self._set_robots()
         for index, scene in scenes.items():
-            self.world.place(scene, axes.get(index))
-            rows.append(self.world.save())
+            world = self._robots[self._of[index]] if self._robots else self.world
+            world.place(scene, axes.get(index))
+            rows.append(world.save())
         which = np.array(list(scenes))
         self._batch.reset(which, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self.state[which] = rows
@@ -68,6 +81,7 @@ class Worlds:
     def restore(self, states: Mapping[int, FloatArray]) -> None:
         """`World.restore` of some worlds, whatever they did before."""
         which = np.array(list(states))
+        self._set_robots()
         self._batch.reset(which, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self.state[which] = list(states.values())
         self._batch.forward(which)
@@ -92,6 +106,13 @@ class Worlds:
             failed.update(int(index) for index in error.ids)
         worse = (self._batch.warning[which] != warned).reshape(len(which), -1).any(axis=1)
         return sorted(failed | set(which[worse].tolist()))
+
+    def _set_robots(self) -> None:
+        """Every world runs on the model of its robot."""
+        of = self._of.tolist()
+        if self._robots and of != self._set_to:
+            self._batch.set_models([self._robots[robot].model for robot in of])
+            self._set_to = of
 
     def active_object(self, index: int, active: str, goal: FloatArray) -> ActiveObject:
         """The true state of a world's active object, contacts of the last step."""

@@ -9,6 +9,7 @@ from viskill_deploy.core.types import FloatArray
 from viskill_deploy.sim.tasks.base import Task
 from viskill_deploy.sim.vector_loop import VectorLoop
 from viskill_deploy.train import store
+from viskill_deploy.train.hidden import hidden_robots
 from viskill_deploy.train.rollout import Act, TaskPolicy, final_goals
 from viskill_deploy.train.run import Run, actor, demos_of
 from viskill_deploy.train.skill_learning import SkillData, SkillLearner, SkillSettings
@@ -47,6 +48,7 @@ def learn_flat(run: Run, stage: str, settings: SkillSettings) -> TaskPolicy:
             run.settings.environments,
             bystanders=False,
             threads=run.threads,
+            robots=hidden_robots(run.task.cell, run.settings.hidden, run.settings.environments),
         )
         settings = dataclasses.replace(settings, corrections=0)  # the script knows skills only
         data = SkillData(demos.clean, demos.corrected)

@@ -40,7 +40,8 @@ class Start:
     def of(cls, tree: dict[str, Any]) -> Start:
         """What `tree` gave."""
         fields = EpisodeState.__dataclass_fields__
-        return cls(EpisodeState(**{name: tree[name] for name in fields}), tree["plan"])
+        known = {name: tree[name] for name in fields if name in tree}  # older ones have no robot
+        return cls(EpisodeState(**known), tree["plan"])
 
 
 def fresh(loop: VectorLoop, rng: np.random.Generator, distributions: Sequence[str]) -> FloatArray:

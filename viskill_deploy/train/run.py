@@ -6,7 +6,6 @@ with the same folder goes on from there, to the same result as without the break
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 from collections.abc import Callable
@@ -24,10 +23,11 @@ from viskill_deploy.sim.tasks.base import AnyFloatArray, load_task
 from viskill_deploy.sim.vector_loop import VectorLoop
 from viskill_deploy.train import store
 from viskill_deploy.train.demos import SkillDemos, record_demos
+from viskill_deploy.train.hidden import hidden_robots
 from viskill_deploy.train.network import Network, scaling_of
 from viskill_deploy.train.replay import Episodes
 from viskill_deploy.train.rollout import Act, Start, run_skill, saved
-from viskill_deploy.train.settings import RunSettings, checked
+from viskill_deploy.train.settings import RunSettings, checked, settings_facts
 from viskill_deploy.train.skill_learning import SkillData, SkillLearner
 
 LOG = "log.jsonl"
@@ -105,7 +105,7 @@ class Run:
         facts = {
             "task": self.task_name,
             "seed": self.seed,
-            "settings": dataclasses.asdict(self.settings),
+            "settings": settings_facts(self.settings),
         }
         text, path = json.dumps(facts, indent=1), self.folder / SETTINGS
         if not path.is_file():
@@ -141,14 +141,19 @@ class Run:
         arm touches them, which `trial` would show.
         """
         if self._loop is None:
+            count = self.settings.environments
+            robots = hidden_robots(self.task.cell, self.settings.hidden, count)
             self._loop = VectorLoop(
-                self.task, self.settings.environments, bystanders=False, threads=self.threads
+                self.task, count, bystanders=False, threads=self.threads, robots=robots
             )
         return self._loop
 
     @property
     def trial(self) -> VectorLoop:
-        """The environments in which what was learned is measured, with everything in them."""
+        """The environments in which what was learned is measured, with everything in them.
+
+        Their arms are as the cell's files say, whatever robots were learnt on.
+        """
         if self._trial is None:
             self._trial = VectorLoop(self.task, self.settings.environments, threads=self.threads)
         return self._trial

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import tomllib
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from viskill_deploy.train.chain_learning import ChainAmounts
 from viskill_deploy.train.chaining import ChainSettings
 from viskill_deploy.train.demos import DemoSettings
 from viskill_deploy.train.dex import DexSettings
+from viskill_deploy.train.hidden import HiddenSettings
 from viskill_deploy.train.skill_learning import SkillSettings
 
 T = TypeVar("T")
@@ -28,6 +30,7 @@ class RunSettings:
         distributions: layouts are drawn from these in turn.
         environments: episodes side by side.
         demos, skill, dex, chain, amounts: of the parts.
+        hidden: robots that are not as the cell's files say; none by default.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid")
@@ -39,6 +42,7 @@ class RunSettings:
     dex: DexSettings = field(default_factory=DexSettings)
     chain: ChainSettings = field(default_factory=ChainSettings)
     amounts: ChainAmounts = field(default_factory=ChainAmounts)
+    hidden: HiddenSettings = field(default_factory=HiddenSettings)
 
     def __post_init__(self) -> None:
         at_least_one = {
@@ -58,6 +62,14 @@ class RunSettings:
         for name, value in at_least_one.items():
             if value < 1:
                 raise ValueError(f"{name} has to be at least 1, not {value}")
+
+
+def settings_facts(settings: RunSettings) -> dict[str, Any]:
+    """The settings as plain values; hidden robots are left out where there are none."""
+    facts = dataclasses.asdict(settings)
+    if settings.hidden == HiddenSettings():
+        del facts["hidden"]
+    return facts
 
 
 def read_settings(path: Path | None) -> RunSettings:

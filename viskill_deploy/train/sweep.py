@@ -8,7 +8,6 @@ folders of the runs; a sweep that is started again goes on.
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import shutil
 import subprocess
@@ -22,6 +21,7 @@ from viskill_deploy.core.clock import MonotonicClock
 from viskill_deploy.sim.tasks.base import load_task
 from viskill_deploy.train.methods import needs_skills
 from viskill_deploy.train.results import Unit, write_json
+from viskill_deploy.train.settings import settings_facts
 from viskill_deploy.train.sweep_file import Sweep
 from viskill_deploy.train.unit import RESULT, finished
 
@@ -83,7 +83,7 @@ class _Job:
 def unit_command(sweep: Sweep, unit: Unit) -> list[str]:
     """The command line of a unit."""
     settings = sweep.output / unit.task / "settings.json"
-    write_json(settings, dataclasses.asdict(sweep.settings[unit.task]))
+    write_json(settings, settings_facts(sweep.settings[unit.task]))
     measuring = sweep.measuring
     return [
         *(sys.executable, "-m", "viskill_deploy.train.unit"),

@@ -50,7 +50,7 @@ from viskill_deploy.train.results import (
 )
 from viskill_deploy.train.rollout import TaskPolicy
 from viskill_deploy.train.run import Run, Say, demos_of, skills_of
-from viskill_deploy.train.settings import RunSettings, read_settings
+from viskill_deploy.train.settings import RunSettings, read_settings, settings_facts
 
 TRAINING = "training.json"
 RESULT = "result.json"
@@ -99,7 +99,7 @@ def finished(unit: Unit, root: Path, settings: RunSettings, measuring: Measuring
     if not path.is_file():
         return None
     result = read_result(path)
-    asked = (unit, json.loads(json.dumps(dataclasses.asdict(settings))), measuring)
+    asked = (unit, json.loads(json.dumps(settings_facts(settings))), measuring)
     if (result.unit, result.settings, result.measuring) != asked:
         raise TrainingError(f"{path} comes from other settings; delete it, or name another folder")
     return result
@@ -157,7 +157,7 @@ def measured(
         calibration = calibrate(run.trial, policy, measuring.calibration_episodes, unit.seed)
         run.say(f"calibration error {calibration.all.error}")
         seconds["calibration"] = round(wall_time() - started, 2)
-    settings = json.loads(json.dumps(dataclasses.asdict(run.settings)))
+    settings = json.loads(json.dumps(settings_facts(run.settings)))
     return Result(SCHEMA, unit, settings, measuring, training, scores, calibration, seconds)
 
 
