@@ -8,7 +8,7 @@ CONFORMANCE := tests/ros/test_conformance_over_ros.py
 # The CPU suffices for training and tests; name another build of torch here if you have a GPU.
 TORCH  ?= torch==2.13.0
 
-.PHONY: demo test lint unit slow wheel-check bench figures hazards mutation soak numbers faults false-trips can wire clean
+.PHONY: demo test lint unit slow wheel-check bench figures hazards mutation soak numbers faults false-trips can wire joined clean
 
 demo: $(VENV)/.runtime
 	$(BIN)/viskill dry-run $(BUNDLE)
@@ -83,6 +83,10 @@ numbers: $(VENV)/.dev
 faults: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/pytest -m faults tests/faults
 	@echo "make faults: each fault met its declared reaction in real time."
+
+# A hidden robot on the wire: measured, fitted, run, each command killed once on its way.
+joined: $(VENV)/.dev
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/joined_run.py runs/joined --kill
 
 # A thousand nominal dry-runs with noise, jitter and losses; resumable, an hour or more of one core.
 false-trips: $(VENV)/.runtime

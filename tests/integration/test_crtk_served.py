@@ -148,7 +148,7 @@ def test_faults_are_caused_and_ended_over_the_private_socket(server: ServedLoopb
 
 def test_viskill_serve_says_what_it_serves_and_ends_with_ctrl_c() -> None:
     command = [sys.executable, "-m", "viskill_deploy.cli.main", "serve", "crtk"]
-    command += ["--transport", "dds", "--domain", str(DOMAIN), "--arms", "PSM1"]
+    command += ["--transport", "dds", "--domain", str(DOMAIN), "--arms", "PSM1", "--truth", "3"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     client = Client()
     client.wait("no state", lambda: client.state.state == "DISABLED")
@@ -165,5 +165,6 @@ def test_viskill_serve_says_what_it_serves_and_ends_with_ctrl_c() -> None:
     lines = out.splitlines()
     assert lines[0] == "simulated dVRK 2.4 over dds, on this machine only"
     assert "arms:    /PSM1, at 100 Hz" in lines
+    assert "robot:   hidden, truth 3" in lines
     assert lines[-4:] == ["PSM1: DISABLED", "PSM1: DISABLED, busy", "PSM1: ENABLED", "stopped"]
     client.node.close()
