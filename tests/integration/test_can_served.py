@@ -36,12 +36,17 @@ def toml(tmp_path: Path) -> Path:
     return path
 
 
+IN_THE_BACKGROUND = ("sh", "-c", 'trap "" INT; exec "$0" "$@"')
+"""A shell starts what it puts there with SIGINT ignored."""
+
+
 class Served:
     """`viskill serve can` and who types there."""
 
     def __init__(self, toml: Path) -> None:
         command = [sys.executable, "-m", "viskill_deploy.cli.main", "serve", "can", str(toml)]
         pipe = subprocess.PIPE
+        command = [*IN_THE_BACKGROUND, *command]
         self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, bufsize=1)
         self.said = self.until("serving until Ctrl-C")
 

@@ -7,6 +7,7 @@ Exit codes: 0 ran as it should · 1 a required figure was not met · 2 usage · 
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import traceback
 
@@ -68,6 +69,8 @@ app.add_typer(serve.app, name="serve")
 
 def main() -> None:
     """Runs a command; an error becomes one plain sentence and its exit code."""
+    # A shell starts what it puts in the background with SIGINT ignored; it shall stop all the same.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         app()
     except ViskillError as error:
