@@ -115,6 +115,7 @@ def test_a_crtk_client_in_another_process_enables_homes_and_moves_an_arm(
     client.moves("move_cp", client.heard["setpoint_cp"][-1])
     client.say["servo_jp"](JointState(position=(0.12, *q[1:]), velocity=(0.0,) * 6))
     client.wait("no servo", lambda: abs(client.heard["measured_js"][-1].position[0] - 0.12) < 1e-3)
+    assert server.heard()["heard"] == 1
     client.say["hold"](Empty())
     assert isinstance(client.heard["body/jacobian"][-1], Float64MultiArray)
     assert isinstance(client.heard["measured_cp"][-1], PoseStamped)

@@ -189,6 +189,10 @@ class ServedLoopback:
         """Begins or ends a fault of what stands in front of the cell, such as a dVRK's."""
         self._ask({"do": "cause", "fault": fault, "arm": arm, "is_on": is_on})
 
+    def heard(self) -> Message:
+        """What has arrived of setpoints over another way, for figures; {} where nobody counts."""
+        return dict(self._ask({"do": "heard"}).get("heard", {}))
+
     def _connected_line(self) -> LineSocket:
         if self._line is None:
             raise DriverError("the loopback is not connected; call connect() first")

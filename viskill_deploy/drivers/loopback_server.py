@@ -69,6 +69,10 @@ class Front(Protocol):
         """Begins or ends something that goes wrong; raises DriverError for what it has not."""
         ...
 
+    def heard(self) -> Message:
+        """What has arrived of setpoints, for figures; {} where nobody counts."""
+        ...
+
 
 class LoopbackServer:
     """Steps the world in real time and serves its clients between two steps.
@@ -166,6 +170,8 @@ class LoopbackServer:
             answer: Message = {"done": verb, "id": message["id"]}
             if verb == "active_object":
                 answer["object"] = pack_object(self.cell.world.active_object())
+            if verb == "heard" and self._front is not None:
+                answer["heard"] = self._front.heard()
             client.offer(answer, must_arrive=True)
 
     def _do(self, verb: str, message: Message) -> None:
@@ -188,7 +194,7 @@ class LoopbackServer:
                 cell.break_drive(message["joint"], message["kind"])
             case "cause" if self._front is not None:
                 self._front.cause(message["fault"], message["arm"], message["is_on"])
-            case "active_object":
+            case "active_object" | "heard":
                 pass
             case "stop":
                 cell.disable()

@@ -6,7 +6,7 @@ A result is the dict that a run prints as JSON. Keys that are missing leave thei
 from __future__ import annotations
 
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -113,6 +113,7 @@ def facts(result: Result) -> list[Fact]:
         _fact(result, "refused", "Refused", "{:d}", lambda v: v == 0),
         _fact(result, "retries", "Retries", "{:d}") if result.get("retries") else None,
         _fact(result, "overruns", "Overruns", "{:d}") if result.get("real_time") else None,
+        *_way(result.get("on_the_way") or {}),
     ]
     return [row for row in rows if row is not None]
 
@@ -122,6 +123,16 @@ def _truth(about: Mapping[str, Any]) -> str:
     if "seed" in about:
         return f"drawn from seed {about['seed']}"
     return f"{about['file']}, {about['sha256'][:12]}"
+
+
+def _way(way: Mapping[str, Any]) -> Iterator[Fact]:
+    """How setpoints fared on their way to the arms, as far as anybody can tell."""
+    for key, name in (("age", "Setpoint age at arrival"), ("echo_age", "Setpoint age when held")):
+        p50, p99 = way.get(f"{key}_p50_ms"), way.get(f"{key}_p99_ms")
+        if p50 is not None and p99 is not None:
+            yield Fact(name, f"{p50:.1f} ms, p99 {p99:.1f} ms")
+    if "lost" in way:
+        yield Fact("Lost on the way", f"{way['lost']:,d} of {way['sent']:,d}")
 
 
 def _success(result: Result) -> Fact | None:

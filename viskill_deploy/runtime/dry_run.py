@@ -23,7 +23,7 @@ from viskill_deploy.runtime.driving import DriverName, simulated_driver, with_in
 from viskill_deploy.runtime.episodes import closed_loop, planned
 from viskill_deploy.runtime.fault_injection import FaultInjector
 from viskill_deploy.runtime.faults import Injection
-from viskill_deploy.runtime.figures import Outcome, run_figures
+from viskill_deploy.runtime.figures import Outcome, on_the_way, run_figures
 from viskill_deploy.runtime.interrupting import go_on, interruptible
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.line import Line
@@ -124,8 +124,8 @@ def dry_run(
                 go_on(session)
         except ViskillError as error:
             failure = error
-        wall = clock.now() - began
-    figures = run_figures(prepared, session, _how(prepared, options), wall, notes)
+        wall, way = clock.now() - began, on_the_way(driver)
+    figures = run_figures(prepared, session, _how(prepared, options), wall, notes, way)
     figures["faults"] = [struck.facts() for struck in faults.struck] if faults else []
     return Outcome(figures, failure)
 

@@ -30,7 +30,7 @@ from viskill_deploy.runtime.checklist import Checklist, Found
 from viskill_deploy.runtime.consent import PersonsConsent
 from viskill_deploy.runtime.dry_run import LAYOUTS, Mode
 from viskill_deploy.runtime.episodes import closed_loop, planned
-from viskill_deploy.runtime.figures import Outcome, run_figures
+from viskill_deploy.runtime.figures import Outcome, on_the_way, run_figures
 from viskill_deploy.runtime.interrupting import go_on, interruptible
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.line import Line
@@ -166,9 +166,11 @@ def execute(
             go_on(session)
         except ViskillError as error:
             failure = error
+        way = on_the_way(driver)
     notes += things.notes if things is not None else []
     how = _how(prepared, options, driver)
-    return Outcome(run_figures(prepared, session, how, clock.now() - began, notes), failure)
+    wall_s = clock.now() - began
+    return Outcome(run_figures(prepared, session, how, wall_s, notes, way), failure)
 
 
 def _run(session: Session, prepared: Prepared, options: ExecuteOptions, operator: Operator) -> None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
-from viskill_deploy.core.errors import ViskillError
+from viskill_deploy.core.errors import DriverError, ViskillError
+from viskill_deploy.drivers.base import Driver
 from viskill_deploy.runtime.preflight import Prepared
 from viskill_deploy.runtime.replay import PreparedTrajectory
 from viskill_deploy.runtime.session import Session
@@ -25,12 +26,32 @@ class Outcome:
     failure: ViskillError | None
 
 
+@runtime_checkable
+class OnTheWay(Protocol):
+    """A driver whose setpoints go over a network."""
+
+    def on_the_way(self) -> dict[str, Any]:
+        """How they fare on their way."""
+        ...
+
+
+def on_the_way(driver: Driver) -> dict[str, Any]:
+    """How setpoints fared on their way, against the clock; {} where there is no way. Still open."""
+    if driver.capabilities.stepped or not isinstance(driver, OnTheWay):
+        return {}
+    try:
+        return driver.on_the_way()
+    except DriverError:  # nobody is left to ask
+        return {}
+
+
 def run_figures(
     prepared: Prepared | PreparedTrajectory,
     session: Session,
     how: Mapping[str, Any],
     wall_s: float,
     notes: Sequence[str],
+    way: Mapping[str, Any],
 ) -> dict[str, Any]:
     """What a run came to.
 
@@ -40,6 +61,7 @@ def run_figures(
         how: the options that people compare runs by.
         wall_s: time that it took.
         notes: what people should know.
+        way: how setpoints fared on their way, see `on_the_way`.
     """
     summary = session.ledger.summary()
     return {
@@ -50,6 +72,7 @@ def run_figures(
         "wall_s": wall_s,
         "realtime_factor": summary["simulated_s"] / wall_s,
         "overruns": session.overruns,
+        "on_the_way": dict(way),
         "files": [{"path": path, "sha256": digest} for path, digest in prepared.files],
         "notes": list(notes),
     }

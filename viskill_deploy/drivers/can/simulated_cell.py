@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from viskill_deploy.core.description import CellArm
 from viskill_deploy.core.errors import DriverError
 from viskill_deploy.core.types import ArmState, JointSetpoint
@@ -151,6 +153,10 @@ class DriveCell:
         """Drives are broken one by one, with `break_drive`."""
         del arm, is_on
         raise DriverError(f"drives have no fault {fault!r}; break one with break_drive")
+
+    def heard(self) -> dict[str, Any]:
+        """Drives do not count."""
+        return {}
 
     def close(self) -> None:
         """Lets go of the buses."""

@@ -22,6 +22,7 @@ from viskill_deploy.drivers.crtk.messages import (
     StringStamped,
     Time,
 )
+from viskill_deploy.drivers.crtk.on_the_way import Ages
 from viskill_deploy.drivers.crtk.stream import JointStream
 from viskill_deploy.drivers.crtk.transport import Transport
 
@@ -51,6 +52,7 @@ class ArmClient:
         tool: instrument that it says it has, as in robots/tools; None before it says so.
         error: its newest word on `error`; "" before any. `errors` counts them.
         sent: what was sent to it lately.
+        ages: of setpoints, when it says that it holds them.
     """
 
     def __init__(self, arm: CellArm, transport: Transport) -> None:
@@ -58,7 +60,8 @@ class ArmClient:
         self.joint_names = tuple(joint.name for joint in arm.arm.joints)
         self.condition = OperatingState()
         self.tool: str | None = None
-        self.error, self.errors, self.sent = "", 0, Sent()
+        self.error, self.errors, self.sent, self.ages = "", 0, Sent(), Ages()
+        self._echo_s = 0.0
         self._restarts, self._said, self._said_s = 0, "", 0.0
         self._masters = set[str]()  # topics of the teleoperations that command this arm
         self._clutches = set[str]()
@@ -186,6 +189,7 @@ class ArmClient:
 
     def send(self, setpoint: JointSetpoint, stamp: Time, now: float) -> None:
         """Sends joints and jaw, position and velocity always: an arm keeps an old velocity."""
+        self._note_echo()
         self.sent.note(setpoint, now, self._setpoint())
         head = Header(stamp)
         self._servo_jp(JointState(head, self.joint_names, setpoint.jp, setpoint.jv))
@@ -201,6 +205,15 @@ class ArmClient:
             self._said, self._said_s = word, now
             stamp = Time.of_ns(self._transport.stamp_ns())
             self._state_command(StringStamped(Header(stamp), word))
+
+    def _note_echo(self) -> None:
+        """How old what it holds is, once for each time that it says so."""
+        held = self.held.newest
+        if held.stamp_s > self._echo_s:
+            self._echo_s = held.stamp_s
+            age_s = self.sent.age_s(held.position, held.stamp_s)
+            if age_s is not None:
+                self.ages.note(age_s)
 
     def _setpoint(self) -> Joints:
         return (*self.held.newest.position, *self.jaw_held.newest.position)

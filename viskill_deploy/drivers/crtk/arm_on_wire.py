@@ -20,6 +20,7 @@ from viskill_deploy.drivers.crtk.messages import (
     StringStamped,
     Time,
 )
+from viskill_deploy.drivers.crtk.on_the_way import Arrivals
 from viskill_deploy.drivers.crtk.readings import Reading
 from viskill_deploy.drivers.crtk.server_options import ServerOptions
 from viskill_deploy.drivers.crtk.simulated_arm import Event, SimulatedArm, Snapshot
@@ -68,6 +69,7 @@ class ArmOnWire:
         transport: where it is published.
         options: version and rates.
         tell: called with every event of the arm, for people who look on.
+        arrivals: told of every servo_jp.
 
     Attributes:
         is_silent: nothing periodic is published; for tests.
@@ -83,7 +85,9 @@ class ArmOnWire:
         transport: Transport,
         options: ServerOptions,
         tell: Callable[[str, Event], None],
+        arrivals: Arrivals,
     ) -> None:
+        self._arrivals = arrivals
         self.arm, self._transport, self._options, self._tell = arm, transport, options, tell
         self._stale = StaleCheck(transport.stamp_ns())
         self._inbox: deque[tuple[str, Any]] = deque()
@@ -161,6 +165,8 @@ class ArmOnWire:
     def _hear(self, topic: str, message: Any, received_s: float) -> None:
         del received_s
         self._inbox.append((topic, message))
+        if topic == "servo_jp":
+            self._arrivals.note(message.header.stamp.ns, self._transport.stamp_ns())
 
     def _act(self, topic: str, message: Any) -> None:
         arm = self.arm

@@ -23,9 +23,13 @@ class Sent:
 
     Arms are told where to be at a few hundred hertz and say where they are told to be at a hundred:
     what they say lies between two that were sent a short time before.
+
+    Attributes:
+        count: how many were ever sent.
     """
 
     def __init__(self) -> None:
+        self.count = 0
         self._rows: deque[tuple[float, Joints]] = deque()
 
     @property
@@ -41,6 +45,7 @@ class Sent:
         """Remembers what goes out, and before the first of a stream what was held until then."""
         if not self._rows:
             self._rows.append((now - UNDERWAY_S, held))
+        self.count += 1
         self._rows.append((now, (*setpoint.jp, setpoint.jaw)))
         while len(self._rows) > 2 and self._rows[1][0] < now - KEPT_S:
             self._rows.popleft()
@@ -58,6 +63,23 @@ class Sent:
         for joint, (low, high) in enumerate(zip(map(min, *rows), map(max, *rows), strict=True)):
             if not low - TOLERANCE[joint] <= held[joint] <= high + TOLERANCE[joint]:
                 return joint
+        return None
+
+    def age_s(self, jp: Joints, stamp_s: float) -> float | None:
+        """How old the setpoint is that an arm holds; None where that cannot be told.
+
+        An arm that rests holds what it was sent many times.
+
+        Args:
+            jp: what it says that it holds, without the jaw.
+            stamp_s: when it was so.
+        """
+        found_s = math.nan
+        for sent_s, row in reversed(self._rows):
+            is_same = row[:6] == jp
+            if not math.isnan(found_s):
+                return None if is_same else max(stamp_s - found_s, 0.0)
+            found_s = sent_s if is_same else math.nan
         return None
 
     def _since(self, start_s: float) -> list[Joints]:

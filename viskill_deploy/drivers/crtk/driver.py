@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from viskill_deploy.core.clock import Clock, MonotonicClock
 from viskill_deploy.core.description import CellDescription
@@ -21,6 +21,7 @@ from viskill_deploy.drivers.crtk.arm import ArmClient
 from viskill_deploy.drivers.crtk.console import Console
 from viskill_deploy.drivers.crtk.doubts import Doubts, first, refuse
 from viskill_deploy.drivers.crtk.messages import Time
+from viskill_deploy.drivers.crtk.on_the_way import Ages
 from viskill_deploy.drivers.crtk.transport import Transport
 from viskill_deploy.drivers.crtk.wishes import DISABLE, ENABLE, HOME, PAUSE, RECOVER, Wish
 from viskill_deploy.drivers.watch import Watch
@@ -236,6 +237,17 @@ class CrtkDriver:
         stamp = Time.of_ns(self._transport.stamp_ns())
         for arm, setpoint in zip(self.arms, wanted, strict=True):
             arm.send(setpoint, stamp, now)
+
+    def on_the_way(self) -> dict[str, Any]:
+        """How setpoints fare on their way; {} before any was sent.
+
+        `echo_age`: how old the setpoint is of which an arm says that it holds it. `heard`, of which
+        `lost` is what is missing, and `age` at the arrival: only arms that count can tell.
+        """
+        ages, sent = Ages(), sum(arm.sent.count for arm in self.arms)
+        for arm in self.arms:
+            ages.add(arm.ages)
+        return {"sent": sent, **ages.facts("echo_age")} if sent else {}
 
     def scene(self) -> Scene | None:
         """Arms see no objects."""

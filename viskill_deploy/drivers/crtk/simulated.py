@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import FloatArray, JointSetpoint, Scene
@@ -187,6 +187,14 @@ class PrivateCrtk(ServedCrtk):
         self.network = self._private.network
         self.server = served_arms(cell, transport, self.network, options, seed)
         super().__init__(cell, transport, self.network, self.server, options.period_s)
+
+    def on_the_way(self) -> dict[str, Any]:
+        """With what the arms have heard; before it is closed."""
+        ours = super().on_the_way()
+        if not ours:
+            return {}
+        heard = self.server.heard()
+        return {**ours, **heard, "lost": ours["sent"] - heard["heard"]}
 
     def connect(self) -> None:
         """Starts the process with the arms, and connects."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from viskill_deploy.core.errors import DriverError
 from viskill_deploy.core.types import ArmState, CellState
@@ -11,6 +12,7 @@ from viskill_deploy.drivers.crtk.arm_on_wire import ArmOnWire
 from viskill_deploy.drivers.crtk.console_on_wire import ConsoleOnWire
 from viskill_deploy.drivers.crtk.faults import cause
 from viskill_deploy.drivers.crtk.kinematics_services import KinematicsServices
+from viskill_deploy.drivers.crtk.on_the_way import Arrivals
 from viskill_deploy.drivers.crtk.scene_on_wire import SceneOnWire
 from viskill_deploy.drivers.crtk.server_options import ServerOptions
 from viskill_deploy.drivers.crtk.simulated_arm import Event, SimulatedArm
@@ -40,6 +42,7 @@ class CrtkCell:
 
     Attributes:
         arms: those on the wire, by name.
+        arrivals: setpoints of joints that were heard by any of them.
 
     Raises:
         DriverError: the cell has no such arm.
@@ -65,10 +68,11 @@ class CrtkCell:
         self._held, self._placements = list(cell.setpoints), cell.placements
         self._known = CellState((), cell.inputs(0.0))  # nothing was measured yet
         self.arms: dict[str, ArmOnWire] = {}
+        self.arrivals = Arrivals()
         for arm, held in zip(cell.world.cell.arms, self._held, strict=True):
             if arm.name in options.arms or not options.arms:
                 simulated = SimulatedArm(arm, held, options)
-                self.arms[arm.name] = ArmOnWire(simulated, transport, options, tell)
+                self.arms[arm.name] = ArmOnWire(simulated, transport, options, tell, self.arrivals)
                 KinematicsServices(arm).serve(transport)
         simulated_arms = {name: arm.arm for name, arm in self.arms.items()}
         self._console = ConsoleOnWire(cell, simulated_arms, transport, options)
@@ -113,6 +117,10 @@ class CrtkCell:
         if arm not in self.arms:
             raise DriverError(f"no arm {arm!r} here; there are {', '.join(self.arms)}")
         cause(self.arms[arm], fault, is_on)
+
+    def heard(self) -> dict[str, Any]:
+        """What has arrived of setpoints, for figures."""
+        return self.arrivals.facts()
 
     def close(self) -> None:
         """Leaves the transport."""
