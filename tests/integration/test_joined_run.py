@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import datetime
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from operators import Person
 from silent_recorder import SilentRecorder
+from typer.testing import CliRunner
 
 from viskill_deploy.calibrate.apply import calibration_file
 from viskill_deploy.calibrate.collect import collect
@@ -17,6 +19,8 @@ from viskill_deploy.calibrate.measurements import load
 from viskill_deploy.calibrate.programme import choose_poses
 from viskill_deploy.calibrate.topic_tips import TopicTips
 from viskill_deploy.calibrate.truths import hidden_robot
+from viskill_deploy.cli import collect as collect_command
+from viskill_deploy.cli.main import app
 from viskill_deploy.core.calibration_files import write_calibration
 from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.description import load_cell
@@ -27,6 +31,7 @@ from viskill_deploy.runtime.consent import PersonsConsent
 from viskill_deploy.runtime.execution import ExecuteOptions, execute, look_before
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.preflight import Sources, prepare
+from viskill_deploy.runtime.robots import Robot
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.sim.tasks.base import load_task
 from viskill_deploy.sim.world import WorldOptions
@@ -36,7 +41,7 @@ CELL = load_cell("bipegtransfer")
 ARMS = [arm.name for arm in CELL.arms]
 HIDDEN = hidden_robot("3", CELL)
 PERIOD_S = 0.01
-POSES = 20
+POSES = 16
 
 
 def _robot() -> SteppedCrtk:
@@ -113,3 +118,24 @@ def test_uncalibrated_it_is_not() -> None:
     result = outcome.figures["episode_results"][0]
     assert not result["success"]
     assert result["stopped_by"] == "S17", "an arm is on the board, and cannot follow"
+
+
+def test_the_command_looks_at_the_robot_says_what_it_will_do_and_measures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = _robot()
+    robot = Robot(driver, driver.node, is_lent=True)
+    monkeypatch.setattr(collect_command, "connected", lambda cell, options: robot)
+    monkeypatch.setattr(TopicTips, "insist", lambda self: None)  # no time passes yet
+    arguments = ["calibrate", "collect", str(tmp_path / "points"), "--driver", "crtk", "--yes"]
+    done = CliRunner().invoke(app, [*arguments, "--samples", "8", "--speed", "1", "--json"])
+    assert done.exit_code == 0, done.output
+    files = json.loads(done.stdout)["files"]
+    assert [len(load(Path(files[name]))) >= 6 for name in ARMS] == [True, True]
+    said = " ".join(done.stderr.split())
+    assert "PSM1, PSM2 are heard" in said
+    assert "all over their workspace" in said
+    assert said.count("press the consent pedal") == 2
+    refused = CliRunner().invoke(app, [*arguments, "--truth", "3"])
+    assert refused.exit_code == 2
+    assert "loopback" in refused.output

@@ -149,7 +149,9 @@ def _came_to(trial: Trial) -> str:
     return "done" if trial.success else trial.stopped_by or trial.refused or "missed"
 
 
-def _each(processes: int, function: Callable[..., Any], work: Sequence[tuple[Any, ...]]) -> Any:
+def _each(
+    processes: int, function: Callable[..., Any], work: Sequence[tuple[Any, ...]]
+) -> Iterator[Any]:
     """Results as they come, here or in processes of their own."""
     if processes == 1:
         yield from (function(*arguments) for arguments in work)
