@@ -9,11 +9,17 @@ from untrained import write_untrained
 
 from viskill_deploy.sim.tasks.base import load_task
 
+UNMEASURED = {"property", "faults", "soak", "mutation"}
+"""Coverage makes thousands of ticks take two and a half times as long, and what they cross, unit
+tests have crossed."""
+
 
 def pytest_itemcollected(item: pytest.Item) -> None:
     """A test that is named after an invariant carries its marker."""
     for invariant in traceability.ids_of_name(item.name):
         item.add_marker(pytest.mark.invariant(invariant))
+    if UNMEASURED.intersection(item.path.parts):
+        item.add_marker("no_cover")
 
 
 @pytest.fixture
