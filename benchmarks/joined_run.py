@@ -187,6 +187,8 @@ def collected(bench: Bench, samples: int, speed: float, kill: bool) -> dict[str,
         if done.returncode == 0:
             break
         last = done.stdout[-300:]
+        found.setdefault("ended_by", []).append(_why(last))
+        print(f"collect, start {found['starts']}: {_why(last)}", file=sys.stderr, flush=True)
         time.sleep(1.0)
     else:
         raise RuntimeError(f"collect did not end well in {TRIES} starts: {last}")
@@ -195,6 +197,11 @@ def collected(bench: Bench, samples: int, speed: float, kill: bool) -> dict[str,
         whole = kept[: kept.rfind(" done\n") + 6]  # rows of the pose after it are measured again
         found["lost_nothing"] = text.startswith(whole)
     return found | {"rows": _rows(text)}
+
+
+def _why(text: str) -> str:
+    """The last line that a command has said."""
+    return next((line for line in reversed(text.splitlines()) if line.strip()), "nothing")
 
 
 def _rows(text: str) -> int:
@@ -244,6 +251,7 @@ def executed(bench: Bench, layout: Scene, speed: float, kill: bool) -> dict[str,
     for start in range(1, TRIES + 1):
         output, code = run()
         found |= {"starts": start, "exit": code}
+        print(f"execute, start {start}: exit code {code}", file=sys.stderr, flush=True)
         if code == 0:
             break
         time.sleep(1.0)

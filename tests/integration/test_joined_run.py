@@ -86,12 +86,12 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("joined")
     with pytest.raises(KeyboardInterrupt):
         _collect(folder / "points", looks=1500)
-    kept = load(folder / "points" / "PSM1.csv")
-    assert 2 <= len(kept) < POSES
+    kept = (folder / "points" / "PSM1.csv").read_text()
+    whole = kept[: kept.rfind(" done\n") + 6]
+    assert 2 <= whole.count(" done\n") < POSES
     files, person = _collect(folder / "points")
     assert sum("press the consent pedal" in note for note in person.told) == 2
-    rows = load(files["PSM1"])
-    np.testing.assert_array_equal(rows.points[: len(kept)], kept.points)
+    assert files["PSM1"].read_text().startswith(whole)
     fits = {name: fit_arm(CELL.arms[i], load(files[name])) for i, name in enumerate(ARMS)}
     now = datetime.datetime.now(datetime.UTC)
     return write_calibration(
