@@ -49,7 +49,8 @@ wheel-check: $(VENV)/.dev
 	$(PYTHON) -m venv build/wheel/env
 	build/wheel/env/bin/pip install -q build/wheel/*.whl
 	cd build/wheel && ! env/bin/python -c "import torch" 2>/dev/null
-	cd build/wheel && env/bin/viskill dry-run bipegtransfer-viskill --no-video --output run
+	cd build/wheel && env/bin/viskill dry-run bipegtransfer-viskill --no-video --output run \
+	  --calibration calibration/loopback_example.json
 	@echo "make wheel-check: the wheel dry-ran its bundle without torch; output in build/wheel/run."
 
 # Speed of one control period against pink, in one run.

@@ -9,15 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibrations import write_fresh
+from operators import Person
 from typer.testing import CliRunner
 
+from viskill_deploy.calibrate.measurements import load
 from viskill_deploy.calibrate.truths import draw_robot, hidden_robot
+from viskill_deploy.cli import touching
 from viskill_deploy.cli.main import app
 from viskill_deploy.core.arm_errors import with_errors
 from viskill_deploy.core.calibration_files import calibrated, read_calibration
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import CalibrationError
+from viskill_deploy.drivers.crtk.driver import CrtkDriver
+from viskill_deploy.drivers.crtk.inproc import Inproc
+from viskill_deploy.drivers.crtk.listening import listening
+from viskill_deploy.drivers.crtk.simulated import SteppedCrtk
 from viskill_deploy.sim.seeing import seen_from_board
+from viskill_deploy.sim.tasks.base import load_task
 from viskill_deploy.sim.world import WorldOptions
 
 RUN = CliRunner()
@@ -91,6 +99,14 @@ def in_degrees(folder: Path) -> None:
     columns(folder, dict.fromkeys((1, 2, 4, 5, 6), "57.3"))
 
 
+def partly_in_mm(folder: Path) -> None:
+    path = folder / "PSM1.csv"
+    rows = [line.split(",") for line in lines(path)]
+    for row in rows[8:]:
+        row[16:19] = [repr(1e3 * float(word)) for word in row[16:19]]
+    path.write_text("\n".join(",".join(row) for row in rows) + "\n")
+
+
 def not_a_number(folder: Path) -> None:
     columns(folder, {17: "nan"})
 
@@ -117,6 +133,7 @@ def wrong_order(folder: Path) -> None:
         (few, "at least 6"),
         (one_pose, "one line"),
         (in_mm, "look like mm"),
+        (partly_in_mm, r"row 6 lies .* \(5 such rows\)"),
         (in_degrees, "look like degrees"),
         (not_a_number, "row 1 of points holds a number that is not finite"),
         (another_frame, "another frame"),
@@ -151,6 +168,38 @@ def test_too_few_points_or_a_truth_in_a_real_arm_are_wrong_uses(tmp_path: Path) 
     many = RUN.invoke(app, [*touch, "--points", "99"])
     assert isinstance(many.exception, CalibrationError)
     assert "ask for fewer points" in str(many.exception)
+
+
+def test_a_person_at_arms_over_crtk_is_asked_for_every_point_and_nothing_is_sent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell = load_cell("bipegtransfer")
+    robot = SteppedCrtk(cell)
+    robot.connect()
+    robot.reset(load_task("bipegtransfer").sample_layout(np.random.default_rng(0), "reference"))
+    robot.enable()
+    robot.home()
+    lines = robot.exchange.lines
+    spoken = {topic: len(line.mouths) for topic, line in lines.items()}
+    person = Person(thinks=1)
+
+    def listen(*where: object) -> CrtkDriver:
+        return listening(cell, Inproc(robot.exchange), robot.clock)
+
+    monkeypatch.setattr(touching, "listen", listen)
+    monkeypatch.setattr(touching, "Terminal", lambda *how, **more: person)
+    collect = ["calibrate", "collect", str(tmp_path), "--source", "touch", "--driver", "crtk"]
+    done = RUN.invoke(app, [*collect, "--points", "8", "--json"])
+    assert done.exit_code == 0, done.output
+    assert len(json.loads(done.stdout)["touched"]["PSM2"]) == 8
+    assert "PSM1: touch corner" in person.asked[0]
+    assert "8 to go" in person.asked[0]
+    assert "one line" in person.asked[8], "the arms have not moved, and that is noticed"
+    np.testing.assert_allclose(
+        load(tmp_path / "PSM2.csv").joints[5], robot.world.measured(1).jp, atol=1e-4
+    )
+    assert {topic: len(line.mouths) for topic, line in lines.items()} == spoken
+    robot.close()
 
 
 def test_a_board_that_was_moved_is_registered_anew_and_the_arms_stay(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from viskill_deploy.calibrate.fit import ArmFit
 from viskill_deploy.calibrate.parameters import NAMES
 from viskill_deploy.calibrate.port import Port
 from viskill_deploy.core.arm_errors import with_errors
-from viskill_deploy.core.calibration_files import ArmCalibration, CalibrationFile
+from viskill_deploy.core.calibration_files import ArmCalibration, CalibrationFile, is_simulated
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import CalibrationError
 
@@ -76,6 +76,7 @@ def calibration_file(
             "method": method,
             "arms": arms,
             "data_sha256": digest.hexdigest(),
+            "simulated": is_simulated(cell),
         }
     )
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AwareDatetime, Field, ValidationError, field_validator
+from pydantic import AwareDatetime, Field, ValidationError, field_validator, model_validator
 
 from viskill_deploy.core.arm_errors import ArmErrors, shifted
 from viskill_deploy.core.cables import Cables
@@ -86,6 +86,8 @@ class CalibrationFile(Table):
         created: when its data were taken, with time zone.
         method: how, for people.
         data_sha256: of the file of measurements that it was fitted to.
+        simulated: it is about simulated arms, which are tomorrow what they are today: it does not
+            age. Refused where an arm has a serial number.
     """
 
     schema_version: Literal[1] = Field(alias="schema")
@@ -94,7 +96,15 @@ class CalibrationFile(Table):
     method: str
     arms: tuple[ArmCalibration, ...] = Field(min_length=1)
     data_sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    simulated: bool = False
     digest: str = ""
+
+    @model_validator(mode="after")
+    def _is_of_simulated_arms(self) -> CalibrationFile:
+        real = [arm.name for arm in self.arms if arm.serial != SIMULATED]
+        if self.simulated and real:
+            raise ValueError(f"simulated, but {', '.join(real)} has a serial number")
+        return self
 
 
 def read_calibration(path: Path) -> CalibrationFile:

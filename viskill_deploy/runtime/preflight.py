@@ -109,6 +109,12 @@ def find_bundle(path: Path) -> Path:
     raise BundleError(path, "is no folder; name a policy bundle, see `viskill doctor`")
 
 
+def find_calibration(path: Path) -> Path:
+    """The calibration file as named, or the one of that name that came with the package."""
+    places = [path] if path.is_absolute() else [path, *(root / path for root in data.data_roots())]
+    return next((place for place in places if place.exists()), path)
+
+
 def prepare(sources: Sources | Path) -> Prepared:
     """Loads the files of a run and checks that they fit; a path alone is that of a bundle.
 
@@ -196,13 +202,15 @@ def calibrated_cell(cell: CellDescription, path: Path | None, now: float) -> Fou
         raise CalibrationError(
             f"{cell.files[0]}: its arms are real; name their calibration file with --calibration"
         )
+    path = find_calibration(path)
     calibration = read_calibration(path)
     placed = calibrated(cell, calibration, path)
     for verdict in judge_calibration(calibration, now):
         raise CalibrationError(f"{path}: {_too(calibration, verdict.arm, now)}")
     age = (now - calibration.created.timestamp()) / DAY_S
     worst = max(arm.residual_rms_m for arm in calibration.arms)
-    text = f"{age:.1f} days old, residual {1e3 * worst:.2f} mm, by {calibration.method}"
+    old = "of simulated arms" if calibration.simulated else f"{age:.1f} days old"
+    text = f"{old}, residual {1e3 * worst:.2f} mm, by {calibration.method}"
     return Found(placed, text, calibration_margin(calibration, now))
 
 

@@ -141,6 +141,14 @@ def _insertion_in_mm(joints: np.ndarray, _: np.ndarray) -> None:
     joints[:, 2] *= 1e3
 
 
+def _some_millimetres(_: np.ndarray, points: np.ndarray) -> None:
+    points[40:] *= 1e3
+
+
+def _some_degrees(joints: np.ndarray, _: np.ndarray) -> None:
+    joints[40:] = np.rad2deg(joints[40:])
+
+
 def _other_frame(_: np.ndarray, points: np.ndarray) -> None:
     points[:] = points[:, [1, 0, 2]] * [1, -1, 1]
 
@@ -156,6 +164,8 @@ def _shuffled(_: np.ndarray, points: np.ndarray) -> None:
         (_millimetres, "look like mm"),
         (_degrees, "look"),
         (_insertion_in_mm, "joint 3 is in m"),
+        (_some_millimetres, r"row 41 lies .* \(20 such rows\)"),
+        (_some_degrees, "look"),
         (_other_frame, "another frame"),
         (_shuffled, "no rigid move"),
     ],

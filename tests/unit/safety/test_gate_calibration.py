@@ -54,3 +54,13 @@ def test_s27_the_margin_is_that_of_the_tightest_figure():
     assert calibration_margin(with_residuals(0.0003, 0.0006), MADE) == pytest.approx(0.6)
     assert calibration_margin(with_residuals(0.0, 0.0), MADE + 12 * DAY) == pytest.approx(0.6)
     assert calibration_margin(with_residuals(0.0, 0.003), MADE) == pytest.approx(-1.0)
+
+
+@pytest.mark.parametrize("age", [365 * DAY, -365 * DAY, math.nan])
+def test_s27_that_of_simulated_arms_does_not_age_but_may_be_coarse(age):
+    young = calibration_of(CELL, simulated=True)
+    assert list(judge_calibration(young, MADE + age)) == []
+    assert calibration_margin(young, MADE + age) == pytest.approx(0.6)
+    coarse = with_residuals(0.0016, 0.0).model_copy(update={"simulated": True})
+    (verdict,) = judge_calibration(coarse, MADE + age)
+    assert verdict.arm == 0
