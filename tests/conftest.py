@@ -1,5 +1,8 @@
 """What several tests share: a small bundle with untrained skills, and its task."""
 
+import fcntl
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import chaining
@@ -20,6 +23,18 @@ def pytest_itemcollected(item: pytest.Item) -> None:
         item.add_marker(pytest.mark.invariant(invariant))
     if UNMEASURED.intersection(item.path.parts):
         item.add_marker("no_cover")
+
+
+@pytest.fixture
+def alone() -> Iterator[None]:
+    """No other test on this machine drives arms against the clock meanwhile.
+
+    Two at a time would ask for more with real-time priority than two cores have. Linux then gives
+    all others 50 ms in one piece, in which every control loop stands still.
+    """
+    with (Path(tempfile.gettempdir()) / "viskill-test-against-the-clock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 @pytest.fixture

@@ -88,6 +88,8 @@ def test_the_rate_may_be_chosen(tmp_path: Path) -> None:
     assert result["simulated_s"] - standing_s < streamed_s <= result["simulated_s"]
 
 
+@pytest.mark.timeout(900)
+@pytest.mark.usefixtures("alone")
 @pytest.mark.parametrize("mode", ["closed-loop", "plan"])
 def test_a_served_loopback_in_real_time_streams_setpoint_by_setpoint(
     mode: str, tmp_path: Path

@@ -5,8 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from crtk_domain import DOMAIN
 
+pytestmark = [pytest.mark.usefixtures("alone"), pytest.mark.timeout(900)]  # its turn may be far
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -14,6 +14,7 @@ from viskill_deploy.drivers.base import DISABLED, PAUSED
 from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.safety.watchdog import DISABLE_S, LOST_S
 
+pytestmark = [pytest.mark.usefixtures("alone"), pytest.mark.timeout(900)]  # its turn may be far
 PERIOD_S = 0.004
 HELD_WITHIN_S = 0.1
 REST_RAD_S = 0.02

@@ -119,7 +119,9 @@ def crtk(
     try:
         front = CrtkCell(LoopbackCell(world), node, server, Announcer())
         print(_told(front, node.name, server, interface, truth), flush=True)
-        realtime.prepare()  # a robot's controller would not wait for other programs either
+        realtime.prepare(
+            realtime.ROBOT_PRIORITY
+        )  # a robot's controller would not wait for other programs either
         run(front, MonotonicClock())
     except KeyboardInterrupt:
         print("stopped", flush=True)

@@ -18,6 +18,10 @@ EARS_PRIORITY = 55
 DRIVES_PRIORITY = 58
 """Of simulated drives: real ones have a processor of their own and wait for no control loop."""
 
+ROBOT_PRIORITY = 45
+"""Of a simulated robot, which takes half of a core: a real one has a computer of its own, and does
+not stand in the control loop's way."""
+
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 
 

@@ -74,6 +74,7 @@ class ServedLoopback:
         self._watch: WatchProcess | None = None
         self._state: Message = {}  # the newest of each, read when somebody asks
         self._scene: Message = {}
+        self._seen: Scene | None = None  # what the newest scene says, once somebody has asked
         self._requests = 0
         self._answers: dict[int, Message] = {}
 
@@ -164,12 +165,14 @@ class ServedLoopback:
     def scene(self) -> Scene | None:
         """The objects as last seen."""
         self._drain()
-        return unpack_scene(self._scene) if self._scene else None
+        if self._seen is None and self._scene:
+            self._seen = unpack_scene(self._scene)
+        return self._seen
 
     def reset(self, layout: Scene) -> None:
         """Puts objects where `layout` says and the arms in their start pose."""
         self._ask({"do": "reset", "scene": pack_scene(layout)})
-        self._scene = {}
+        self._scene, self._seen = {}, None
         self._wait(lambda: bool(self._scene), "scene after the reset")
 
     def active_object(self) -> ActiveObject:
@@ -204,7 +207,7 @@ class ServedLoopback:
             if "state" in message:
                 self._state = message["state"]
             if "scene" in message:
-                self._scene = message["scene"]
+                self._scene, self._seen = message["scene"], None
             if message.get("id") is not None:
                 self._answers[message["id"]] = message
             elif "error" in message:

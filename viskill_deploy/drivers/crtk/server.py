@@ -43,7 +43,9 @@ def main() -> None:
             listener.bind(str(args.socket))
             args.socket.chmod(0o600)
             listener.listen()
-            realtime.prepare()  # a robot's controller would not wait for other programs either
+            realtime.prepare(
+                realtime.ROBOT_PRIORITY
+            )  # a robot's controller would not wait for other programs either
             LoopbackServer(world, listener, lambda cell: CrtkCell(cell, transport, how)).run()
     finally:
         transport.close()
