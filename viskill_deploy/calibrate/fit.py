@@ -30,12 +30,12 @@ from viskill_deploy.core.types import FloatArray
 FEWEST = 6
 """Points below which nothing is fitted; the touch programme takes at least 8."""
 
-ROWS_PER_PARAMETER = 2.5
-"""Coordinates that there must be for each fitted parameter."""
+ROWS_PER_PARAMETER = 1.5
+"""Coordinates that there must be for each fitted parameter; its usual size is one more."""
 
-BLIND = 3.0
+BLIND = 1.0
 """A direction of parameter space in which data at `NOISE_M` say less than this many times what the
-usual sizes say is not seen: 3 shrinks the usual size to a third."""
+usual sizes say is not seen."""
 
 NOISE_M = 0.0005
 """Noise that blindness is judged at: a good tracker, or a careful touch."""
@@ -51,6 +51,9 @@ WORST_RMS_M = 0.008
 
 HELD_OUT = 0.2
 """Part of the rows that judges a fit that has not seen them."""
+
+ROUNDS = 3
+"""Of estimating the noise."""
 
 FEWEST_TO_SPLIT = 40
 """Below so many rows every one is left out in turn instead."""
@@ -117,9 +120,9 @@ def fit_arm(arm: CellArm, measured: Measurements, seed: int = 0) -> ArmFit:
     is_free, values = _seen(model, vector, measured.chosen(~outliers))
     vector, outliers = _robust(model, np.where(is_free, vector, 0.0), is_free, measured)
     clean = measured.chosen(~outliers)
-    held_out = _held_out(model, vector, is_free, clean, seed)
-    residuals = measured.points - model.points(vector, measured)
     noise, covariance = _spread(model, vector, is_free, clean)
+    held_out = _held_out(model, vector, is_free, clean, noise, seed)
+    residuals = measured.points - model.points(vector, measured)
     sigma = np.where(is_free, np.sqrt(np.diag(covariance)), np.nan)
     frozen = tuple(name for name, free in zip(NAMES, is_free, strict=True) if not free)
     return ArmFit(
@@ -222,7 +225,9 @@ def _robust(
             raise CalibrationError(
                 f"only {(~found).sum()} of {len(measured)} points fit together; measure again"
             )
-        vector = _solve(model, vector, free, measured.chosen(~found), "linear")
+        clean = measured.chosen(~found)
+        noise = _spread(model, vector, free, clean)[0]
+        vector = _solve(model, vector, free, clean, "linear", noise)
         if (found == outliers).all():
             break
         outliers = found
@@ -235,8 +240,13 @@ def _solve(
     free: npt.NDArray[np.bool_],
     measured: Measurements,
     loss: str,
+    noise_m: float = NOISE_M,
 ) -> FloatArray:
-    """Nonlinear least squares over the free parameters, in units of their usual size."""
+    """Nonlinear least squares over the free parameters, in units of their usual size.
+
+    The usual sizes are data, too: the result is the most likely one for parameters that are spread
+    by them and coordinates that are spread by `noise_m`. Few points gain by it, many do not notice.
+    """
     usual = USUAL[free]
 
     def spread(x: FloatArray) -> FloatArray:
@@ -245,11 +255,13 @@ def _solve(
         return full
 
     def residuals(x: FloatArray) -> FloatArray:
-        return ((model.points(spread(x), measured) - measured.points) / NOISE_M).ravel()
+        r = ((model.points(spread(x), measured) - measured.points) / NOISE_M).ravel()
+        return np.concatenate([r, x * (noise_m / NOISE_M)])
 
     def jacobian(x: FloatArray) -> FloatArray:
         _, J = model.linearised(spread(x), measured)
-        return np.asarray(J.reshape(-1, len(NAMES))[:, free] * (usual / NOISE_M))
+        A = J.reshape(-1, len(NAMES))[:, free] * (usual / NOISE_M)
+        return np.vstack([A, np.eye(len(x)) * (noise_m / NOISE_M)])
 
     found = least_squares(
         residuals, start[free] / usual, jacobian, loss=loss, f_scale=3.0, x_scale=1.0, method="trf"
@@ -267,11 +279,13 @@ def _spread(
     """
     points, J = model.linearised(vector, clean)
     r = (clean.points - points).ravel()
-    A = J.reshape(-1, len(NAMES))[:, free]
-    freedom = max(r.size - int(free.sum()), 1)
-    variance = float(r @ r) / freedom
-    scaled = A * USUAL[free]
-    inverse = np.linalg.inv(scaled.T @ scaled)
+    scaled = J.reshape(-1, len(NAMES))[:, free] * USUAL[free]
+    variance, unit = NOISE_M**2, np.eye(int(free.sum()))
+    inverse: FloatArray = unit
+    for _ in range(ROUNDS):  # how many parameters the data have fixed depends on their noise
+        inverse = np.asarray(np.linalg.inv(scaled.T @ scaled + variance * unit), dtype=np.float64)
+        fixed = float(np.einsum("ij,ji->", inverse, scaled.T @ scaled))
+        variance = float(r @ r) / max(r.size - fixed, 1.0)
     blind = ~free & np.array([not parameter.told_by for parameter in PARAMETERS])
     leak = inverse @ scaled.T @ (J.reshape(-1, len(NAMES))[:, blind] * USUAL[blind])
     covariance = np.zeros((len(NAMES), len(NAMES)))
@@ -286,6 +300,7 @@ def _held_out(
     vector: FloatArray,
     free: npt.NDArray[np.bool_],
     clean: Measurements,
+    noise_m: float,
     seed: int,
 ) -> FloatArray:
     """Distances of rows from fits that have not seen them, (m,) m."""
@@ -296,7 +311,7 @@ def _held_out(
     for fold in folds:
         seen = np.ones(n, dtype=np.bool_)
         seen[fold] = False
-        found = _solve(model, vector, free, clean.chosen(seen), "linear")
+        found = _solve(model, vector, free, clean.chosen(seen), "linear", noise_m)
         rest = clean.chosen(~seen)
         distances.append(np.linalg.norm(rest.points - model.points(found, rest), axis=1))
     return np.concatenate(distances)
