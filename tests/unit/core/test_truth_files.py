@@ -1,11 +1,13 @@
 """A hidden robot is read as it was written, or refused by name."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 
 from viskill_deploy.calibrate.truths import draw_robot, draw_truth, hidden_robot
 from viskill_deploy.core.description import load_cell
@@ -49,6 +51,8 @@ def test_a_robots_world_has_its_errors_and_what_else_was_asked_for() -> None:
     assert world.truth == robot.truth.errors(CELL)
     assert world.board_translation_m == robot.truth.board_translation_m
     assert (world.object_noise_m, world.drop_rate) == (0.001, 0.1)
+    # as a process of its own is told it
+    assert TypeAdapter(WorldOptions).validate_json(json.dumps(asdict(world))) == world
     assert world.delay_periods == round(robot.truth.command_delay_s / 0.002)
     delays = robot.tracker(CELL).delay_s
     assert delays == tuple(arm.delay_s for arm in world.truth)
