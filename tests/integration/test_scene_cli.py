@@ -41,7 +41,7 @@ def test_a_scene_is_touched_and_the_runs_read_it(tmp_path: Path) -> None:
     done = RUN.invoke(app, [*scene, "--json"])
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)
-    assert told["board"]["points"] == 6
+    assert told["board"]["points"] == 8
     assert told["board"]["held_out_median_m"] < 2e-3
     seen = read_scene(file, "bipegtransfer")
     assert seen.scene.active == "block2"

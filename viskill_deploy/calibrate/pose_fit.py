@@ -20,6 +20,10 @@ TOUCH_M = 0.0005
 TRUST = 6
 """That expectation counts as much as so many coordinates: three points leave three to judge by."""
 
+NEAR_M = 0.0017
+"""Three of these standard deviations, in space: a touch that is nearer to its place is never wrong,
+however well a few others agree by chance."""
+
 WORST_RMS_M = 0.002
 """Points that a rigid pose misses by more than this are not those of the thing."""
 
@@ -66,22 +70,28 @@ def fit_pose(points: FloatArray, seen: FloatArray, arm_m: float = 0.0) -> PoseFi
             no rigid pose brings together.
     """
     found = register(points, seen)
-    distances = np.asarray(np.linalg.norm(found.residuals, axis=1), dtype=np.float64)
-    if found.rms_m > WORST_RMS_M:
+    T, kept = rigid(points, seen), np.ones(len(points), dtype=np.bool_)
+    if _distances(T, points, seen).max() > NEAR_M:
+        T = found.T
+        for _ in range(2):
+            kept = found.is_inlier | (_distances(T, points, seen) <= NEAR_M)
+            T = rigid(points[kept], seen[kept])
+    distances = _distances(T, points, seen)
+    squares = float((distances[kept] ** 2).sum())
+    rms = math.sqrt(squares / int(kept.sum()))
+    if rms > WORST_RMS_M:
         worst = int(np.argmax(distances))
         raise CalibrationError(
-            f"no pose brings the touched points together (rms {1e3 * found.rms_m:.1f} mm, point "
+            f"no pose brings the touched points together (rms {1e3 * rms:.1f} mm, point "
             f"{worst + 1} is off by {1e3 * distances[worst]:.1f} mm); check which points were "
             "touched, and touch them again"
         )
-    kept = found.is_inlier
-    r = found.residuals[kept]
     freedom = 3 * int(kept.sum()) - 6
-    variance = (TRUST * TOUCH_M**2 + float((r**2).sum())) / (TRUST + freedom)
-    J = _jacobian(found.T, points[kept])
+    variance = (TRUST * TOUCH_M**2 + squares) / (TRUST + freedom)
+    J = _jacobian(T, points[kept])
     covariance = np.asarray(variance * np.linalg.inv(J.T @ J), dtype=np.float64)
     covariance[:3, :3] += arm_m**2 * np.eye(3)
-    return PoseFit(found.T, covariance, distances, _held_out(points, seen, kept), kept)
+    return PoseFit(T, covariance, distances, _held_out(points, seen, kept), kept)
 
 
 def fit_corners(points: FloatArray, seen: FloatArray, arm_m: float = 0.0) -> PoseFit:
@@ -114,6 +124,10 @@ def _jacobian(T: FloatArray, points: FloatArray) -> FloatArray:
     """How seen points change with position and a small rotation, (3 n, 6)."""
     arms = points @ T[:3, :3].T
     return np.concatenate([np.hstack([np.eye(3), -pin.skew(arm)]) for arm in arms])
+
+
+def _distances(T: FloatArray, points: FloatArray, seen: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(seen - (points @ T[:3, :3].T + T[:3, 3]), axis=1))
 
 
 def _held_out(points: FloatArray, seen: FloatArray, kept: npt.NDArray[np.bool_]) -> FloatArray:

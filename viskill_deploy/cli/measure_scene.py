@@ -63,7 +63,7 @@ def command(
     arm: Annotated[str, typer.Option(help="Who touches; the cell's last arm by default.")] = "",
     points: Annotated[
         int, typer.Option(min=4, help="Points of the board that are touched, of 3 needed.")
-    ] = 6,
+    ] = 8,
     pose_topic: Annotated[
         str,
         typer.Option(help="Look instead of touching: topics such as /scene/{object}/measured_cp."),
