@@ -255,3 +255,16 @@ def test_shafts_beside_the_points_register_the_ports(points: Path, tmp_path: Pat
     (folder / "PSM2_shaft.csv").write_text(f"x_m,y_m,z_m,ux,uy,uz\n{text}\n")
     wrong = RUN.invoke(app, ["calibrate", "port", str(folder)])
     assert "remote centre" in str(wrong.exception)
+
+
+def test_touch_alone_can_be_studied(tmp_path: Path) -> None:
+    study = ["calibrate", "study", "--truths", "1", "--only", "touch", "--json"]
+    done = RUN.invoke(app, [*study, "--output", str(tmp_path / "trials.jsonl")])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert "tip_error_median_m" not in told
+    found = told["touch"]
+    assert (found["arms"], found["samples_median"]) == (2, 12)
+    assert found["tip_error_median_m"] < 1e-3 < found["uncalibrated_tip_error_median_m"]
+    table = RUN.invoke(app, [*study[:-1], "--output", str(tmp_path / "trials.jsonl")])
+    assert "touch" in table.stdout

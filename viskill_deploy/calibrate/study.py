@@ -42,6 +42,9 @@ from viskill_deploy.sim.tasks.base import load_task
 from viskill_deploy.sim.tracker import SimulatedTracker, TrackerOptions
 from viskill_deploy.sim.world import WorldOptions
 
+WAYS = ("tracker", "touch")
+"""How arms are measured."""
+
 HELD_OUT = 200
 """Poses of the same kind, not measured, at which a calibrated arm is held against the truth."""
 
@@ -96,19 +99,21 @@ class Study:
         seed: of truths, poses and noise.
         samples: rows of a tracker's measurements an arm.
         points: points that each arm touches instead.
+        ways: which of `WAYS` are studied.
     """
 
     cell: CellDescription
     seed: int
     samples: int
     points: int
+    ways: tuple[str, ...] = WAYS
 
     def truth(
         self,
         number: int,
         record: Callable[[Path, float], AbstractContextManager[Recorder]],
     ) -> dict[str, list[Trial]]:
-        """Hides a robot, measures it in both ways, fits it and compares.
+        """Hides a robot, measures it in every way, fits it and compares.
 
         Args:
             number: of the truth.
@@ -126,7 +131,7 @@ class Study:
         fresh = [_unseen(self.cell, index, rng) for index in range(len(self.cell.arms))]
         found = dict[str, list[Trial]]()
         with tempfile.TemporaryDirectory(prefix="viskill-study-") as folder:
-            for way in ("tracker", "touch"):
+            for way in self.ways:
                 points = Path(folder) / way
                 if way == "tracker":
                     with_recorder = partial(record, Path(folder) / "recording")

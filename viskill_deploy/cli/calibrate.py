@@ -20,7 +20,7 @@ from viskill_deploy.calibrate.judge import judge
 from viskill_deploy.calibrate.measurements import load
 from viskill_deploy.calibrate.parameters import NAMES
 from viskill_deploy.calibrate.port import port_of
-from viskill_deploy.calibrate.study import Study, Trial, figures
+from viskill_deploy.calibrate.study import WAYS, Study, Trial, figures
 from viskill_deploy.calibrate.truths import draw_robot
 from viskill_deploy.cli import collect, measure_scene
 from viskill_deploy.cli.poses_found import port_facts, port_words, pose_facts, pose_words
@@ -171,6 +171,9 @@ def study_command(
     cell: CELL = "bipegtransfer",
     samples: Annotated[int, typer.Option(min=8, help="Rows of measurements an arm.")] = 300,
     points: Annotated[int, typer.Option(min=8, help="Points that an arm touches.")] = TOUCHES,
+    only: Annotated[
+        collect.Source | None, typer.Option(help="One way alone; touch takes seconds a robot.")
+    ] = None,
     output: Annotated[
         Path | None, typer.Option(help="File of trials; started again it goes on there.")
     ] = None,
@@ -178,31 +181,31 @@ def study_command(
 ) -> None:
     """Hide robots, calibrate each by a tracker and by touch, and say how near that comes."""
     described = load_cell(cell)
-    study = Study(described, seed, samples, points)
-    title = {"cell": cell, "seed": seed, "samples": samples, "points": points}
+    ways = WAYS if only is None else (only.value,)
+    study = Study(described, seed, samples, points, ways)
+    title: dict[str, Any] = {"cell": cell, "seed": seed, "samples": samples, "points": points}
+    title |= {} if only is None else {"only": only.value}
     rows = _rows(output, title)
     with Progress(console=Console(stderr=True)) as bar:
         shown = bar.add_task("truths", total=truths, completed=len(rows))
         for number in range(len(rows), truths):
-            found = study.truth(number, lambda path, period: Recorder(path, described, period))
-            row = {way: [trial.row() for trial in trials] for way, trials in found.items()}
+            done = study.truth(number, lambda path, period: Recorder(path, described, period))
+            row = {way: [trial.row() for trial in trials] for way, trials in done.items()}
             rows.append(row)
             if output is not None:
                 with output.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(row) + "\n")
             bar.update(shown, completed=len(rows))
-    tracked, touched = (
-        figures([Trial.of(trial) for row in rows for trial in row[way]])
-        for way in ("tracker", "touch")
-    )
+    found = {way: figures([Trial.of(trial) for row in rows for trial in row[way]]) for way in ways}
     if json_:
-        print(json.dumps(title | {"truths": len(rows)} | tracked | {"touch": touched}))
+        touched = {"touch": found["touch"]} if "touch" in found else {}
+        print(json.dumps(title | {"truths": len(rows)} | found.get("tracker", {}) | touched))
         return
     table = Table(title=f"{len(rows)} hidden robots")
-    for column in ("figure", "tracker", "touch"):
+    for column in ("figure", *ways):
         table.add_column(column)
-    for name, value in tracked.items():
-        table.add_row(name, f"{value:.4g}", f"{touched[name]:.4g}")
+    for name in found[ways[0]]:
+        table.add_row(name, *(f"{each[name]:.4g}" for each in found.values()))
     Console().print(table)
 
 
