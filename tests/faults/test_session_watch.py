@@ -1,5 +1,6 @@
 """What a session tells its watchdog, and what it does about what the watchdog says."""
 
+import time
 from dataclasses import replace
 from functools import partial
 
@@ -16,6 +17,7 @@ from viskill_deploy.motion.waypoints import ActionSpec, apply_action
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.moves import axes_of
 from viskill_deploy.runtime.session import Session
+from viskill_deploy.runtime.thinking import think_while_held
 from viskill_deploy.safety.supervisor import Supervisor
 from viskill_deploy.sim.tasks.base import load_task
 
@@ -82,6 +84,30 @@ def test_the_heart_beats_while_the_gate_stops_the_arms() -> None:
     run_out(session, driver)
     assert np.diff(listener.beats).max() == pytest.approx(driver.period_s)
     assert listener.is_released
+
+
+def test_arms_that_are_held_are_looked_at_while_a_long_plan_is_made_and_go_on_after_it() -> None:
+    """Against the clock. Nobody waits for a heartbeat meanwhile: a plan makes looks late."""
+    session, driver, listener = moving(stepped=False)
+    driver.say(consent=False)
+    while session.cycle():
+        pass
+    session.come_to_rest()
+    driver.say(consent=True)
+    beats, until = len(listener.beats), driver.cycles + round(2.0 / driver.period_s)
+
+    def plan() -> str:
+        while driver.cycles < until:
+            time.sleep(0.001)
+        return "a plan"
+
+    assert think_while_held(session, plan) == "a plan"
+    assert listener.is_released
+    assert len(listener.beats) == beats
+    assert session.resume() == ()
+    session.cycle()
+    assert not listener.is_released
+    session.settle()
 
 
 def test_without_a_watchdog_the_run_ends() -> None:

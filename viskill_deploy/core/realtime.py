@@ -51,14 +51,19 @@ def settle() -> list[str]:
     return list(_settled)
 
 
-def prepare(priority: int = PRIORITY) -> list[str]:
+def prepare(priority: int = PRIORITY, sweeps: bool = True) -> list[str]:
     """From now on the calling thread is punctual: SCHED_FIFO, no garbage collector; settled.
+
+    Args:
+        priority: real-time priority.
+        sweeps: collects garbage first; not while a gate holds arms, which would see nobody.
 
     Returns:
         One sentence for each thing that was refused; empty when all was granted.
     """
     notes = settle()
-    gc.collect()  # little: what there was when it settled is frozen
+    if sweeps:
+        gc.collect()  # little: what there was when it settled is frozen
     gc.disable()
     return first_in_line(priority) + notes
 

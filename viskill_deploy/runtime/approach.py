@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -57,10 +58,14 @@ def approach(session: Session, result: EpisodeResult, operator: Operator | None 
     plan = approach_plan(session, session.driver.state())
     if plan is None:
         return True
+
+    def look() -> Callable[[], Plan | None]:
+        return partial(approach_plan, session, session.read())
+
     session.begin()
     while plan is not None and not stream(session, plan):
         session.come_to_rest(result)
-        plan = resumed(session, operator, result, lambda: approach_plan(session, session.read()))
+        plan = resumed(session, operator, result, look)
         if result.stopped_by:
             return False
     session.finish()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from viskill_deploy.bundle.subgoals import KeptSubgoals, SubgoalSource, subgoal_source
@@ -115,10 +118,10 @@ class Attempts:
         if not result.stopped_by or not result.skills:
             return None
         operator = self._job.operator
-        return resumed(self._session, operator, result, lambda: self._replanned(result))
+        return resumed(self._session, operator, result, lambda: self._replan(result))
 
-    def _replanned(self, result: EpisodeResult) -> Plan:
-        """From the latest skill that can begin with what the jaws hold now."""
+    def _replan(self, result: EpisodeResult) -> Callable[[], Plan]:
+        """Looks at the arms; what makes a plan from the latest skill that can begin so."""
         session, skills = self._session, self._job.task.skills
         held, names = held_now(session), [skill.name for skill in skills]
         first = way_back(skills, names.index(result.skills[-1].start.skill), held)
@@ -127,7 +130,7 @@ class Attempts:
                 "no skill can begin with what the jaws hold; open them by hand and start again"
             )
         self._choose_subgoals(held, result)
-        return self.plan(session.read(), session.scene(), first)
+        return partial(self.plan, session.read(), session.scene(), first)
 
     def _choose_subgoals(self, held: tuple[bool, ...], result: EpisodeResult) -> None:
         """New ones; a skill that goes on with what its jaw holds is told the same."""

@@ -9,12 +9,16 @@ from viskill_deploy.core.errors import ViskillError
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.operator import Operator, asked_while_held
 from viskill_deploy.runtime.session import Session
+from viskill_deploy.runtime.thinking import think_while_held
 
 T = TypeVar("T")
 
 
 def resumed(
-    session: Session, operator: Operator | None, result: EpisodeResult, replan: Callable[[], T]
+    session: Session,
+    operator: Operator | None,
+    result: EpisodeResult,
+    look: Callable[[], Callable[[], T]],
 ) -> T | None:
     """What follows, once the operator wants it and the gate lets go; the arms rest until then.
 
@@ -24,7 +28,7 @@ def resumed(
         session: the arms, under the gate's stop.
         operator: who may resume; None for nobody.
         result: says what they are held for; told how it went on.
-        replan: makes what follows from where the arms are held.
+        look: sees where the arms are held, and returns what makes what follows from there.
 
     Returns:
         None where it was more than a HOLD, where a person has ended the run, or where nothing can
@@ -37,9 +41,8 @@ def resumed(
         wish = asked_while_held(session, operator, f"{question} [Enter: yes, n: no]")
         if wish is None or wish.strip():
             break
-        session.driver.watch.release()  # the arms rest; nothing is sent while a plan is made
         try:
-            follows = replan()
+            follows = think_while_held(session, look())
         except (ViskillError, ValueError) as error:
             result.reason = f"not resumed: {error}"
             break

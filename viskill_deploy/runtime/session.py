@@ -251,7 +251,8 @@ class Session:
         decision = self.gate.check(state, request, now)
         sent = tuple(checked.setpoint for checked in decision.setpoints)
         self._delivery.send(decision, now)
-        self.driver.watch.beat(self.driver.clock.now())
+        if self._is_moving:  # arms that rest need nobody who would take a slow look for a hang
+            self.driver.watch.beat(self.driver.clock.now())
         self._note(decision)
         if self.is_stop_wanted and not self._is_stopping:
             self.line.fail("the operator ended the run")
@@ -279,7 +280,7 @@ class Session:
             What the gate has against it; empty when the run may go on.
         """
         if not self.driver.capabilities.stepped:
-            realtime.prepare()
+            realtime.prepare(sweeps=False)
         for _ in range(round(SURE_S / self.driver.period_s)):
             self.cycle()
         state = self.read()

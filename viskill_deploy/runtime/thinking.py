@@ -33,11 +33,34 @@ def decide(session: Session, question: Callable[[], T]) -> T:
     if session.driver.capabilities.stepped:
         _go_on_for(session, delay)
         return question()
+    answer = _asked(question, delay)
+    while not answer.done():
+        _cycle(session)
+    return answer.result()
+
+
+def think_while_held(session: Session, question: Callable[[], T]) -> T:
+    """The answer to `question` while the gate goes on holding arms at rest, and looking at them.
+
+    Args:
+        session: at rest, under the gate's stop.
+        question: touches nothing of the session but what never changes.
+    """
+    if session.driver.capabilities.stepped:
+        return question()
+    answer = _asked(question)
+    while not answer.done():
+        session.cycle()
+    return answer.result()
+
+
+def _asked(question: Callable[[], T], delay_s: float = 0.0) -> Future[T]:
+    """The answer that a thread of its own will give."""
     answer: Future[T] = Future()
 
     def think() -> None:
-        if delay:
-            threading.Event().wait(None if delay == math.inf else delay)
+        if delay_s:
+            threading.Event().wait(None if delay_s == math.inf else delay_s)
         try:
             answer.set_result(question())
         except BaseException as error:  # noqa: BLE001 - handed on to the caller as it is
@@ -45,9 +68,7 @@ def decide(session: Session, question: Callable[[], T]) -> T:
 
     # a daemon: a policy that hangs for ever must not keep the process
     threading.Thread(target=think, name="policy", daemon=True).start()
-    while not answer.done():
-        _cycle(session)
-    return answer.result()
+    return answer
 
 
 def _go_on_for(session: Session, delay_s: float) -> None:
