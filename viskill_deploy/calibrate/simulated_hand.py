@@ -108,9 +108,9 @@ class SimulatedHand:
             for _ in range(ROUNDS):
                 row = self._row(arm, q, play)
                 point, J = self._models[arm].linearised(self._vectors[arm], row)
+                if np.linalg.norm(target - point[0]) < 1e-9:
+                    return np.asarray(q)
                 q[:3] += np.linalg.solve(J[0, :, OFFSETS][:, :3], target - point[0])
-            if np.linalg.norm(target - point[0]) < 1e-9:
-                return np.asarray(q)
         raise CalibrationError(
             f"{self._cell.arms[arm].name} does not reach {np.round(target, 4).tolist()}; name "
             "another point"
