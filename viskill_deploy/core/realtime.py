@@ -80,6 +80,12 @@ def first_in_line(priority: int = PRIORITY) -> list[str]:
     return []
 
 
+def out_of_line() -> None:
+    """The calling thread has time: normal scheduling, whatever it took after."""
+    if hasattr(os, "sched_setscheduler"):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
 @contextlib.contextmanager
 def ahead(priority: int = EARS_PRIORITY) -> Iterator[None]:
     """Threads that are started within are first in line from their start, where that is granted.
@@ -100,8 +106,7 @@ def ahead(priority: int = EARS_PRIORITY) -> Iterator[None]:
 def pause() -> None:
     """Gives normal scheduling and garbage collection back; what is settled stays so."""
     gc.enable()
-    if hasattr(os, "sched_setscheduler"):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    out_of_line()
 
 
 def release() -> None:

@@ -36,6 +36,7 @@ def resumed(
     """
     if operator is None or session.is_stop_wanted:
         return None
+    session.attend()
     while session.is_held:
         question = f"held ({result.stopped_by}: {result.reason or 'by the gate'}); resume?"
         wish = asked_while_held(session, operator, f"{question} [Enter: yes, n: no]")

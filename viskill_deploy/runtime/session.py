@@ -273,6 +273,11 @@ class Session:
         """Whether the gate holds the arms, and for nothing worse: an operator may resume."""
         return self.gate.latched is Action.HOLD
 
+    def attend(self) -> None:
+        """Punctual again under the gate's stop, while people and plans take their time."""
+        if not self.driver.capabilities.stepped:
+            realtime.first_in_line()
+
     def resume(self) -> tuple[Verdict, ...]:
         """The operator clears a HOLD; the line stands where the arms are held.
 

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import TypeVar
 
+from viskill_deploy.core import realtime
 from viskill_deploy.core.errors import SafetyStop
 from viskill_deploy.runtime.session import Session
 
@@ -48,7 +49,12 @@ def think_while_held(session: Session, question: Callable[[], T]) -> T:
     """
     if session.driver.capabilities.stepped:
         return question()
-    answer = _asked(question)
+
+    def out_of_the_way() -> T:
+        realtime.out_of_line()  # it takes seconds, and the gate is to look on meanwhile
+        return question()
+
+    answer = _asked(out_of_the_way)
     while not answer.done():
         session.cycle()
     return answer.result()
