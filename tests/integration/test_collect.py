@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from operators import Person
 from silent_recorder import SilentRecorder
 
 from viskill_deploy.calibrate.collect import Collected, collect
@@ -17,6 +18,7 @@ from viskill_deploy.core.errors import CalibrationError, SafetyStop
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.motion.resolve import task_poses
+from viskill_deploy.runtime.consent import PersonsConsent
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.sim.tasks.base import load_task
@@ -131,3 +133,35 @@ def test_a_gate_that_steps_in_ends_it_and_what_was_measured_stays(tmp_path: Path
         with pytest.raises(SafetyStop, match="S23"):
             collect(session, source, POSES, tmp_path, "seed 0")
     assert len(load(tmp_path / "PSM1.csv")) >= 2
+
+
+def test_after_a_hold_a_person_may_let_it_go_on_where_it_was(tmp_path: Path) -> None:
+    driver = LoopbackDriver(CELL, WorldOptions(PERIOD_S))
+    driver.connect()
+    driver.reset(load_task("bipegtransfer").sample_layout(np.random.default_rng(0), "reference"))
+
+    class LettingGo(SimulatedTracker):
+        looks = 0
+
+        def look(self, now: float) -> None:
+            super().look(now)
+            self.looks += 1
+            if self.looks == 480:
+                driver.say(consent=False)
+
+    class Sorry(Person):
+        def ask(self, question: str) -> None:
+            super().ask(question)
+            driver.say(consent=True)
+
+    person, source = Sorry(thinks=60), LettingGo(driver.world, CLEAN)
+    line = Line(CELL, driver.period_s)
+    consent = PersonsConsent(driver, person.tell)
+    with Session(CELL, driver, line, SilentRecorder(), consent=consent) as session:
+        found = collect(session, source, POSES[:6], tmp_path, "seed 0", operator=person)
+    assert (found.measured, found.skipped) == (6, 0)
+    assert len(person.asked) == 1
+    assert "held (S22" in person.asked[0]
+    m = load(found.files["PSM1"])
+    there = task_poses(CELL, 0, m.joints)[:, :3, 3]
+    np.testing.assert_allclose(m.points, there, atol=2e-5)

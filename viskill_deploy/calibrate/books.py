@@ -24,13 +24,14 @@ class Book:
 
     Attributes:
         done: poses that need no more visit.
+        visited: how many of them were visited.
     """
 
     def __init__(self, path: Path, programme: str) -> None:
         title = f"# programme: {programme}\n"
-        self.done = 0
+        self.done = self.visited = 0
         if path.exists():
-            self.done = _resume(path, title)
+            self.done, self.visited = _resume(path, title)
             self._file: IO[str] = path.open("a", encoding="utf-8")
         else:
             self._file = path.open("w", encoding="utf-8")
@@ -41,6 +42,7 @@ class Book:
         if row is not None:
             self._file.write(measurements.line(row, 0))
         if not is_moving:
+            self.done, self.visited = pose + 1, self.visited + 1
             self._file.write(f"# pose {pose} done\n")
             self._file.flush()
             os.fsync(self._file.fileno())
@@ -50,8 +52,8 @@ class Book:
         self._file.close()
 
 
-def _resume(path: Path, title: str) -> int:
-    """Cuts a file off after the last pose that was done; how many poses that leaves.
+def _resume(path: Path, title: str) -> tuple[int, int]:
+    """Cuts a file off after the last pose that was done; the next pose, and how many that leaves.
 
     Raises:
         CalibrationError: it was written by another programme.
@@ -64,4 +66,4 @@ def _resume(path: Path, title: str) -> int:
     ends = list(re.finditer(r"^# pose (\d+) done\n", text, re.MULTILINE))
     kept = text[: ends[-1].end()] if ends else title + measurements.header()
     path.write_text(kept, encoding="utf-8")
-    return int(ends[-1].group(1)) + 1 if ends else 0
+    return (int(ends[-1].group(1)) + 1 if ends else 0), len(ends)

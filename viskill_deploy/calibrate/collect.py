@@ -24,6 +24,7 @@ from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.moves import axes_of
 from viskill_deploy.runtime.operator import Operator
 from viskill_deploy.runtime.planning import Plan
+from viskill_deploy.runtime.resuming import resumed
 from viskill_deploy.runtime.session import Session
 
 REST_STEPS = 2
@@ -107,7 +108,7 @@ def collect(
         folder: gets `<arm>.csv`; rows that are there already are kept, and their poses left out.
         programme: says how the poses were chosen; a folder of another programme is refused.
         progress: told how many poses are "planned", and how many "measured".
-        operator: who may resume after a HOLD on the way to the start pose.
+        operator: who may resume after a HOLD; None for nobody.
 
     Raises:
         CalibrationError: the folder holds another programme's measurements.
@@ -117,25 +118,34 @@ def collect(
     folder.mkdir(parents=True, exist_ok=True)
     files = {arm.name: folder / f"{arm.name}.csv" for arm in session.cell.arms}
     books = [Book(path, programme) for path in files.values()]
-    done = min(book.done for book in books)
-    measured = done
+    result = EpisodeResult(0)
+
+    def planned() -> list[_Visits]:
+        first = min(book.done for book in books)
+        return _planned(session, poses, first, lambda count: progress("planned", count))
+
     try:
         session.make_ready()
-        fetched = EpisodeResult(0)
-        if not approach(session, fetched, operator):
-            raise SafetyStop(f"the gate stepped in ({fetched.stopped_by}); {AGAIN}")
-        lots = _planned(session, poses, done, lambda count: progress("planned", count))
+        if not approach(session, result, operator):
+            raise SafetyStop(f"the gate stepped in ({result.stopped_by}); {AGAIN}")
+        lots = planned()
         if lots:
             session.begin()
-        for visits in lots:
-            _stream(session, source, visits, books)
-            measured += len(visits.arrivals)
-            progress("measured", measured)
+        while lots:
+            if _stream(session, source, lots[0], books):
+                lots.pop(0)
+                progress("measured", books[-1].visited)
+                continue
+            session.come_to_rest(result)
+            cause, lots = result.stopped_by, resumed(session, operator, result, planned) or []
+            if result.stopped_by:
+                raise SafetyStop(f"the gate stepped in ({cause}); {AGAIN}")
         session.finish()
     finally:
         for book in books:
             book.close()
-    return Collected(files, measured, len(poses) - measured)
+    visited = books[-1].visited
+    return Collected(files, visited, len(poses) - visited)
 
 
 def _planned(
@@ -211,8 +221,8 @@ def _visits(session: Session, state: CellState, poses: FloatArray, first: int) -
     return _Visits(plan, table, tuple(arrivals), first)
 
 
-def _stream(session: Session, source: PointSource, visits: _Visits, books: list[Book]) -> None:
-    """Streams a lot and measures on the way."""
+def _stream(session: Session, source: PointSource, visits: _Visits, books: list[Book]) -> bool:
+    """Streams a lot and measures on the way; False when the gate stepped in."""
     due, past = _moments(session.cell, visits), deque[CellState](maxlen=PAST)
     motion = visits.plan.motion
     turns = np.zeros((len(books), 3))
@@ -224,13 +234,13 @@ def _stream(session: Session, source: PointSource, visits: _Visits, books: list[
             turns = np.where(np.abs(change) > TURN_RAD, np.sign(change), turns)
             row += 1
         if not session.cycle():
-            session.come_to_rest()
-            raise SafetyStop(f"the gate stepped in ({session.cause}); {AGAIN}")
+            return False
         past.append(session.read())
         source.look(session.driver.clock.now())
         if due and session.line.phase >= due[0][0]:
             _, pose, is_moving = due.pop(0)
             _measure(past, source, session.driver.clock.now(), books, turns, pose, is_moving)
+    return True
 
 
 def _moments(cell: CellDescription, visits: _Visits) -> list[tuple[float, int, bool]]:
