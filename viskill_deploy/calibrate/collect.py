@@ -137,9 +137,11 @@ def collect(
                 progress("measured", books[-1].visited)
                 continue
             session.come_to_rest(result)
-            cause, lots = result.stopped_by, resumed(session, operator, result, planned) or []
-            if result.stopped_by:
+            cause = result.stopped_by
+            rest: list[_Visits] | None = resumed(session, operator, result, planned)
+            if rest is None:
                 raise SafetyStop(f"the gate stepped in ({cause}); {AGAIN}")
+            lots = rest
         session.finish()
     finally:
         for book in books:
