@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -120,15 +121,15 @@ def collect(
     books = [Book(path, programme) for path in files.values()]
     result = EpisodeResult(0)
 
-    def planned() -> list[_Visits]:
+    def look() -> Callable[[], list[_Visits]]:
         first = min(book.done for book in books)
-        return _planned(session, poses, first, lambda count: progress("planned", count))
+        return partial(_planned, session, session.read(), poses, first, progress)
 
     try:
         session.make_ready()
         if not approach(session, result, operator):
             raise SafetyStop(f"the gate stepped in ({result.stopped_by}); {AGAIN}")
-        lots = planned()
+        lots = look()()
         if lots:
             session.begin()
         while lots:
@@ -138,7 +139,7 @@ def collect(
                 continue
             session.come_to_rest(result)
             cause = result.stopped_by
-            rest: list[_Visits] | None = resumed(session, operator, result, planned)
+            rest: list[_Visits] | None = resumed(session, operator, result, look)
             if rest is None:
                 raise SafetyStop(f"the gate stepped in ({cause}); {AGAIN}")
             lots = rest
@@ -151,10 +152,14 @@ def collect(
 
 
 def _planned(
-    session: Session, poses: FloatArray, index: int, progress: Callable[[int], None]
+    session: Session,
+    state: CellState,
+    poses: FloatArray,
+    index: int,
+    progress: Callable[[str, int], None],
 ) -> list[_Visits]:
     """Checked plans through the poses from `index` on, those left out that a gate refuses."""
-    state, lots = session.read(), list[_Visits]()
+    lots = list[_Visits]()
     while index < len(poses):
         session.go_on()
         visits = _next_lot(session, state, poses, index)
@@ -164,7 +169,7 @@ def _planned(
         lots.append(visits)
         state = _resting(state, visits.rows[-1])
         index += len(visits.arrivals)
-        progress(index)
+        progress("planned", index)
     return lots
 
 
