@@ -1,5 +1,6 @@
 """What a session tells its watchdog, and what it does about what the watchdog says."""
 
+import threading
 import time
 from dataclasses import replace
 from functools import partial
@@ -107,6 +108,21 @@ def test_arms_that_are_held_are_looked_at_while_a_long_plan_is_made_and_go_on_af
     assert session.resume() == ()
     session.cycle()
     assert not listener.is_released
+    session.settle()
+
+
+def test_nobody_waits_for_a_plan_once_it_came_to_more_than_a_hold() -> None:
+    session, driver, _ = moving(stepped=False)
+    driver.say(consent=False)
+    while session.cycle():
+        pass
+    session.come_to_rest()
+    assert session.is_held
+    ended = threading.Event()
+    with pytest.raises(SafetyStop, match="before there was a plan"):  # 2 s without consent: STOP
+        think_while_held(session, ended.wait)
+    ended.set()
+    assert not session.is_held
     session.settle()
 
 

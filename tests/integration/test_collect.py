@@ -14,7 +14,7 @@ from viskill_deploy.calibrate.measurements import load
 from viskill_deploy.calibrate.programme import choose_poses
 from viskill_deploy.core.arm_errors import ArmErrors, with_errors
 from viskill_deploy.core.description import load_cell
-from viskill_deploy.core.errors import CalibrationError, SafetyStop
+from viskill_deploy.core.errors import CalibrationError, Interrupted, SafetyStop
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.motion.resolve import task_poses
@@ -113,24 +113,28 @@ def test_poses_that_the_gate_would_refuse_are_left_out(tmp_path: Path) -> None:
     assert (found.measured, found.skipped) == (2, 1)
 
 
-def test_a_gate_that_steps_in_ends_it_and_what_was_measured_stays(tmp_path: Path) -> None:
+@pytest.mark.parametrize("who", ["gate", "person"])
+def test_what_was_measured_stays_when_it_is_ended(who: str, tmp_path: Path) -> None:
     driver = LoopbackDriver(CELL, WorldOptions(PERIOD_S))
     driver.connect()
     driver.reset(load_task("bipegtransfer").sample_layout(np.random.default_rng(0), "reference"))
 
-    class Pressing(SimulatedTracker):
+    class Ending(SimulatedTracker):
         looks = 0
 
         def look(self, now: float) -> None:
             super().look(now)
             self.looks += 1
-            if self.looks == 480:
+            if self.looks == 480 and who == "gate":
                 driver.say(estop=True)
+            elif self.looks == 480:
+                session.ask_to_stop()
 
     line = Line(CELL, driver.period_s)
+    expected = {"gate": (SafetyStop, "S23"), "person": (Interrupted, "start again to go on")}[who]
     with Session(CELL, driver, line, SilentRecorder()) as session:
-        source = Pressing(driver.world, CLEAN)
-        with pytest.raises(SafetyStop, match="S23"):
+        source = Ending(driver.world, CLEAN)
+        with pytest.raises(expected[0], match=expected[1]):
             collect(session, source, POSES, tmp_path, "seed 0")
     assert len(load(tmp_path / "PSM1.csv")) >= 2
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,10 @@ def test_a_scene_is_touched_and_the_runs_read_it(tmp_path: Path) -> None:
     assert "board: " in again.stdout
     assert read_scene(file, "bipegtransfer").scene.objects[0].name == "block0"
     assert not (tmp_path / "touched" / "PSM1.csv").exists()
+    touched = tmp_path / "touched" / "PSM2.csv"
+    os.utime(touched, (0, touched.stat().st_mtime - 4000))
+    late = RUN.invoke(app, scene)
+    assert "things may have moved since; name another folder" in str(late.exception)
 
 
 def test_a_board_that_is_elsewhere_is_no_scene(tmp_path: Path) -> None:

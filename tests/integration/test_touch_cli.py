@@ -268,3 +268,15 @@ def test_touch_alone_can_be_studied(tmp_path: Path) -> None:
     assert found["tip_error_median_m"] < 1e-3 < found["uncalibrated_tip_error_median_m"]
     table = RUN.invoke(app, [*study[:-1], "--output", str(tmp_path / "trials.jsonl")])
     assert "touch" in table.stdout
+
+
+@pytest.mark.parametrize("source", ["touch", "tracker"])
+def test_simulated_arms_do_not_stand_in_for_real_ones(source: str, tmp_path: Path) -> None:
+    path = tmp_path / "lab.toml"
+    text = load_cell("bipegtransfer").files[0].read_text()
+    path.write_text(text.replace("\ntool = ", '\nserial = "29662"\ntool = ', 1))
+    collect = ["calibrate", "collect", str(tmp_path / "points"), "--cell", str(path)]
+    done = RUN.invoke(app, [*collect, "--source", source])
+    assert isinstance(done.exception, CalibrationError)
+    assert "PSM1 has a serial number" in str(done.exception)
+    assert not (tmp_path / "points").exists()

@@ -15,7 +15,7 @@ import numpy as np
 from viskill_deploy.calibrate.books import Book
 from viskill_deploy.calibrate.measurements import Measurements
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.errors import MotionError, SafetyStop
+from viskill_deploy.core.errors import Interrupted, MotionError, SafetyStop, ViskillError
 from viskill_deploy.core.types import CellState, FloatArray
 from viskill_deploy.kinematics.model import tip_positions
 from viskill_deploy.motion.plan import smooth
@@ -115,6 +115,7 @@ def collect(
         CalibrationError: the folder holds another programme's measurements.
         MotionError: there is no way to the start pose.
         SafetyStop: the gate stepped in; what was measured so far is kept.
+        Interrupted: a person has ended it; the same.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = {arm.name: folder / f"{arm.name}.csv" for arm in session.cell.arms}
@@ -128,7 +129,7 @@ def collect(
     try:
         session.make_ready()
         if not approach(session, result, operator):
-            raise SafetyStop(f"the gate stepped in ({result.stopped_by}); {AGAIN}")
+            raise _ended(session, result.stopped_by)
         lots = look()()
         if lots:
             session.begin()
@@ -141,7 +142,7 @@ def collect(
             cause = result.stopped_by
             rest: list[_Visits] | None = resumed(session, operator, result, look)
             if rest is None:
-                raise SafetyStop(f"the gate stepped in ({cause}); {AGAIN}")
+                raise _ended(session, cause)
             lots = rest
         session.finish()
     finally:
@@ -149,6 +150,13 @@ def collect(
             book.close()
     visited = books[-1].visited
     return Collected(files, visited, len(poses) - visited)
+
+
+def _ended(session: Session, cause: str) -> ViskillError:
+    """Why nothing more is measured: a person's wish, or the gate's."""
+    if session.is_stop_wanted:
+        return Interrupted("stopped; what was measured is kept, start again to go on")
+    return SafetyStop(f"the gate stepped in ({cause}); {AGAIN}")
 
 
 def _planned(

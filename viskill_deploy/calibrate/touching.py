@@ -88,6 +88,12 @@ def touch(
         for arm in cell.arms
     }
     hand.tell(HELP)
+    for name, book in books.items():
+        if book.touches:
+            hand.tell(
+                f"{name}: {len(book.touches)} points are kept that were touched before; touch one "
+                "again by its name, or all of them in another folder"
+            )
     for index, (book, marks) in enumerate(zip(books.values(), wanted, strict=True)):
         _Touching(cell, arms, hand, book, index, off).all_of(marks)
     return books

@@ -93,7 +93,7 @@ def fit_command(
     found = with_errors(described, {name: fit.errors for name, fit in fits.items()})
     shafts = [(arm, folder / f"{arm.name}_shaft.csv") for arm in found.arms]
     ports = {arm.name: port_of(arm, path) for arm, path in shafts if path.exists()}
-    taken = max(path.stat().st_mtime for path in files.values())
+    taken = min(path.stat().st_mtime for path in files.values())
     created = datetime.datetime.fromtimestamp(taken, datetime.UTC).replace(microsecond=0)
     written = calibration_file(described, fits, files, created, method, ports)
     write_calibration(output, written)

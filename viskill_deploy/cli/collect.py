@@ -29,6 +29,7 @@ from viskill_deploy.cli.touching import (
     collect_by_touch,
 )
 from viskill_deploy.core import data
+from viskill_deploy.core.calibration_files import insist_simulated
 from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import Interrupted
 from viskill_deploy.core.types import FloatArray
@@ -154,6 +155,7 @@ def command(
     )
     programme = f"cell {described.name}, {count} poses, seed {seed}, "
     if driver is RobotChoice.LOOPBACK:
+        insist_simulated(described)
         loopback, seen = _hidden(described, truth, noise, outliers, seed)
         line = Line(described, loopback.period_s, speed=speed or 1.0)
         programme += f"truth {truth or None}"
@@ -228,7 +230,8 @@ def _agree(
     arms = " and ".join(arm.name for arm in cell.arms)
     terminal.tell(
         f"{arms} are enabled and homed, go to their start pose and then all over their workspace, "
-        "above the board; each motion needs the pedal. Take instruments and things out of the way. "
+        "above the board; each motion needs the pedal. Take instruments, things and the board out "
+        "of the way: tips that are not calibrated may be 15 mm from where they are meant to be. "
         "Keep a hand on the emergency stop: this program is none"
     )
     if yes:

@@ -15,6 +15,7 @@ from viskill_deploy.cli.run_folder import new_folder
 from viskill_deploy.cli.serve import TransportChoice
 from viskill_deploy.cli.sources import Calibration
 from viskill_deploy.core import realtime
+from viskill_deploy.core.calibration_files import is_simulated
 from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.types import Mode, Verdict
@@ -65,6 +66,12 @@ def command(
     found = calibrated_cell(load_cell(cell), calibration, wall_time())
     described = found.value
     print(f"calibration:  {found.text}", flush=True)
+    if is_simulated(described):
+        print(
+            "its arms are simulated ones: on a robot, name its own cell with --cell and its "
+            "calibration with --calibration, or the gate looks in the wrong place",
+            flush=True,
+        )
     network = Network(domain, interface, "viskill_guard")
     driver = connect(described, transport.value, network, CrtkOptions(period_s=1.0 / rate))
     with contextlib.ExitStack() as opened:

@@ -29,7 +29,7 @@ from viskill_deploy.cli.serve import TransportChoice
 from viskill_deploy.cli.sources import Calibration, Truth
 from viskill_deploy.cli.touching import TOUCH_NOISE_M, TouchedBy, TouchedRobot, touched_by
 from viskill_deploy.core.calibration_files import calibrated, is_simulated, read_calibration
-from viskill_deploy.core.clock import MonotonicClock
+from viskill_deploy.core.clock import MonotonicClock, wall_time
 from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import CalibrationError
 from viskill_deploy.core.scene_files import write_scene
@@ -42,6 +42,9 @@ from viskill_deploy.sim.tasks.base import load_task
 EXAMPLE = (
     "Example: viskill calibrate scene runs/scene -o scene.toml --calibration lab.json --driver crtk"
 )
+
+FRESH_S = 3600.0
+"""Touches older than this are not gone on with."""
 
 LOOKS = "poses.csv"
 """What a tracker said, beside the touches."""
@@ -196,12 +199,26 @@ def _touched(
     if arm not in {"", *arms}:
         raise typer.BadParameter(f"--arm {arm}: this cell has {', '.join(arms)}")
     index = arms.index(arm or arms[-1])
+    _insist_on_fresh(folder / f"{arms[index]}.csv")
     marks = scene_landmarks(cell, index, things, points)
     wanted = [marks if i == index else () for i in range(len(arms))]
     simulated = _simulated_things(cell, who.seed) if who.robot is TouchedRobot.LOOPBACK else {}
     with touched_by(cell, who, simulated) as (driver, hand):
         books = touch(cell, driver, hand, wanted, folder, off_of_things, "scene")
     return touched_scene(cell, index, books[arms[index]], arm_m)
+
+
+def _insist_on_fresh(path: Path) -> None:
+    """Refuses to go on with touches of things that may have been moved since.
+
+    Raises:
+        CalibrationError: the last touch is too long ago.
+    """
+    if path.exists() and (ago_s := wall_time() - path.stat().st_mtime) > FRESH_S:
+        raise CalibrationError(
+            f"{path}: its last point was touched {ago_s / 3600.0:.1f} hours ago, and things may "
+            "have moved since; name another folder"
+        )
 
 
 def _simulated_things(cell: CellDescription, seed: int) -> dict[str, FloatArray]:

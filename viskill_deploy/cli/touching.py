@@ -24,6 +24,7 @@ from viskill_deploy.calibrate.touching import Hand, touch
 from viskill_deploy.calibrate.truths import HiddenRobot
 from viskill_deploy.cli.serve import TransportChoice
 from viskill_deploy.cli.terminal import Terminal
+from viskill_deploy.core.calibration_files import insist_simulated
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.drivers.crtk.listening import listen
@@ -111,9 +112,11 @@ def touched_by(
 
     Raises:
         DriverError: the arms are not heard.
+        CalibrationError: the cell's arms are real, and simulated ones would stand in for them.
         BadParameter: a truth can only be hidden in simulated arms.
     """
     if who.robot is TouchedRobot.LOOPBACK:
+        insist_simulated(cell)
         world = WorldOptions()
         if who.hidden is not None:
             world = who.hidden.world(cell, world)

@@ -162,6 +162,20 @@ def is_simulated(cell: CellDescription) -> bool:
     return all(arm.entry.serial == SIMULATED for arm in cell.arms)
 
 
+def insist_simulated(cell: CellDescription) -> None:
+    """Refuses to let simulated arms stand in for a cell whose arms have serial numbers.
+
+    Raises:
+        CalibrationError: it has real arms.
+    """
+    real = [arm.name for arm in cell.arms if arm.entry.serial != SIMULATED]
+    if real:
+        raise CalibrationError(
+            f"{cell.files[0]}: {', '.join(real)} has a serial number, and simulated arms say "
+            "nothing about it; name the robot with --driver, or take a cell without serial numbers"
+        )
+
+
 def _placed(arm: CellArm, measured: ArmCalibration) -> CellArm:
     T = np.array(measured.T_task_base)
     T.flags.writeable = False

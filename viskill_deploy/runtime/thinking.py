@@ -46,6 +46,9 @@ def think_while_held(session: Session, question: Callable[[], T]) -> T:
     Args:
         session: at rest, under the gate's stop.
         question: touches nothing of the session but what never changes.
+
+    Raises:
+        SafetyStop: meanwhile it came to more than a HOLD, or a person has ended the run.
     """
     if session.driver.capabilities.stepped:
         return question()
@@ -57,6 +60,8 @@ def think_while_held(session: Session, question: Callable[[], T]) -> T:
     answer = _asked(out_of_the_way)
     while not answer.done():
         session.cycle()
+        if session.is_stop_wanted or not session.is_held:
+            raise SafetyStop("the run was ended before there was a plan")
     return answer.result()
 
 
