@@ -139,6 +139,23 @@ def test_what_was_measured_stays_when_it_is_ended(who: str, tmp_path: Path) -> N
     assert len(load(tmp_path / "PSM1.csv")) >= 2
 
 
+def test_arms_do_not_go_on_where_nobody_sees_them(tmp_path: Path) -> None:
+    driver = LoopbackDriver(CELL, WorldOptions(PERIOD_S))
+    driver.connect()
+    driver.reset(load_task("bipegtransfer").sample_layout(np.random.default_rng(0), "reference"))
+
+    class Covered(SimulatedTracker):
+        def points(self, now: float) -> dict[str, tuple[float, FloatArray]]:
+            return {name: seen for name, seen in super().points(now).items() if name == "PSM1"}
+
+    line = Line(CELL, driver.period_s)
+    with Session(CELL, driver, line, SilentRecorder()) as session:
+        source = Covered(driver.world, CLEAN)
+        with pytest.raises(SafetyStop, match="S16: nobody has seen PSM2 at 3 poses running"):
+            collect(session, source, POSES, tmp_path, "seed 0")
+    assert (~load(tmp_path / "PSM1.csv").speeds.any(axis=1)).sum() == 3
+
+
 def test_after_a_hold_a_person_may_let_it_go_on_where_it_was(tmp_path: Path) -> None:
     driver = LoopbackDriver(CELL, WorldOptions(PERIOD_S))
     driver.connect()

@@ -25,11 +25,12 @@ class Book:
     Attributes:
         done: poses that need no more visit.
         visited: how many of them were visited.
+        unseen: at how many of the last ones, running, nothing was seen.
     """
 
     def __init__(self, path: Path, programme: str) -> None:
         title = f"# programme: {programme}\n"
-        self.done = self.visited = 0
+        self.done = self.visited = self.unseen = 0
         if path.exists():
             self.done, self.visited = _resume(path, title)
             self._file: IO[str] = path.open("a", encoding="utf-8")
@@ -43,6 +44,7 @@ class Book:
             self._file.write(measurements.line(row, 0))
         if not is_moving:
             self.done, self.visited = pose + 1, self.visited + 1
+            self.unseen = 0 if row is not None else self.unseen + 1
             self._file.write(f"# pose {pose} done\n")
             self._file.flush()
             os.fsync(self._file.fileno())
@@ -65,5 +67,6 @@ def _resume(path: Path, title: str) -> tuple[int, int]:
         )
     ends = list(re.finditer(r"^# pose (\d+) done\n", text, re.MULTILINE))
     kept = text[: ends[-1].end()] if ends else title + measurements.header()
-    path.write_text(kept, encoding="utf-8")
+    if kept != text:  # a file that stays as it is keeps its date, which is that of the calibration
+        path.write_text(kept, encoding="utf-8")
     return (int(ends[-1].group(1)) + 1 if ends else 0), len(ends)

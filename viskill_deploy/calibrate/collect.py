@@ -51,6 +51,9 @@ STALE_S = 0.15
 PAST = 60
 """Control periods that are looked back on: more than `STALE_S`."""
 
+BLIND_POSES = 3
+"""A tracker that is covered at a pose is soon free again; one that stays blind is not."""
+
 AGAIN = "what was measured is kept, put the cause right and start again"
 
 LOT = 8
@@ -139,11 +142,13 @@ def collect(
                 progress("measured", books[-1].visited)
                 continue
             session.come_to_rest(result)
-            cause = result.stopped_by
+            cause = ": ".join(filter(None, (result.stopped_by, result.reason)))
             rest: list[_Visits] | None = resumed(session, operator, result, look)
             if rest is None:
                 raise _ended(session, cause)
             lots = rest
+            for book in books:
+                book.unseen = 0
         session.finish()
     finally:
         for book in books:
@@ -255,6 +260,9 @@ def _stream(session: Session, source: PointSource, visits: _Visits, books: list[
         if due and session.line.phase >= due[0][0]:
             _, pose, is_moving = due.pop(0)
             _measure(past, source, session.driver.clock.now(), books, turns, pose, is_moving)
+            for arm, book in zip(session.cell.arms, books, strict=True):
+                if book.unseen >= BLIND_POSES:
+                    session.line.fail(f"nobody has seen {arm.name} at {BLIND_POSES} poses running")
     return True
 
 
