@@ -5,12 +5,17 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from chaining import chain_graph, replace_file, value_graph
+from typer.main import get_command
+from typer.testing import CliRunner
 
+from viskill_deploy.cli.main import app
 from viskill_deploy.observe.reading import read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -269,12 +274,17 @@ def test_inspect_shows_who_gives_subgoals_and_what_every_graph_takes(
     assert "chain-" not in run.stdout
 
 
-def test_every_command_has_help_with_an_example(tmp_path: Path) -> None:
-    for command in (
-        *(("dry-run",), ("check",), ("inspect",), ("doctor",), ("faults",)),
-        *(("train",), ("evaluate",), ("sweep",), ("reproduce",), ("export", "run")),
-        *(("calibrate", verb) for verb in ("collect", "fit", "report", "study")),
-    ):
-        run = viskill(*command, "--help", cwd=tmp_path)
-        assert run.returncode == 0
-        assert "Example: viskill" in run.stdout
+def commands(group: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """The words of every command."""
+    if not hasattr(group, "commands"):
+        yield words
+        return
+    for name, command in group.commands.items():
+        yield from commands(command, (*words, name))
+
+
+@pytest.mark.parametrize("words", [*commands(get_command(app))], ids=" ".join)
+def test_every_command_has_help_with_an_example(words: tuple[str, ...]) -> None:
+    run = CliRunner().invoke(app, [*words, "--help"])
+    assert run.exit_code == 0
+    assert "Example: viskill" in run.stdout
