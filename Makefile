@@ -29,7 +29,7 @@ unit: $(VENV)/.dev
 	VENV=$(VENV) tests/ros/install
 	rm -f .coverage .coverage.*
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal --cov --cov-report= \
-	  -m "not slow and not faults and not ros1 and not ros2"
+	  -m "not slow and not faults and not ros1 and not ros2 and not quiet"
 	for ros in ros1 ros2; do for part in "$(CONFORMANCE)" "tests/ros --ignore=$(CONFORMANCE)"; do \
 	  OMP_NUM_THREADS=1 .venv-$$ros/bin/python -m pytest --cov --cov-append --cov-report= \
 	    -m $$ros $$part || exit; done; done
@@ -103,6 +103,7 @@ can: $(VENV)/.dev
 # BiPegTransfer in real time through the wire at 200 Hz: simulated dVRK and driver are two processes.
 wire: $(VENV)/.dev
 	VENV=$(VENV) tests/ros/install
+	OMP_NUM_THREADS=1 $(BIN)/pytest -m quiet tests/integration
 	OMP_NUM_THREADS=1 $(BIN)/viskill dry-run $(BUNDLE) --driver crtk --realtime --transport dds \
 	  --rate 200 --episodes $(EPISODES) --require-success 0.85 --no-video --json
 	OMP_NUM_THREADS=1 .venv-ros2/bin/python -m viskill_deploy.cli.main dry-run $(BUNDLE) \

@@ -30,6 +30,7 @@ def test_a_bundle_does_its_task_on_stepped_dvrk_arms_at_200_hz(tmp_path: Path):
     assert figures["margins"]["S24"] > 0.5
 
 
+@pytest.mark.quiet
 @pytest.mark.timeout(900)
 @pytest.mark.usefixtures("alone")
 def test_two_episodes_over_dds_against_the_clock(tmp_path: Path):

@@ -1,14 +1,14 @@
 """Results as units leave them, made up."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 
 from viskill_deploy.train.calibration import Calibration
 from viskill_deploy.train.reliability import reliability
 from viskill_deploy.train.results import SCHEMA, Figures, Measuring, Result, Training, Unit
-from viskill_deploy.train.settings import RunSettings
+from viskill_deploy.train.settings import RunSettings, settings_facts
 
 TRAINING = Training(
     seconds={"demos": 20.0, "skill-grasp": 100.0, "skill-release": 80.0, "chain-viskill": 150.0},
@@ -40,7 +40,7 @@ def result(
     return Result(
         schema=SCHEMA,
         unit=Unit(task, method, seed),
-        settings=json.loads(json.dumps(asdict(RunSettings()))),
+        settings=json.loads(json.dumps(settings_facts(RunSettings()))),
         measuring=Measuring(),
         training=TRAINING,
         scores={"reference": figures(success, **figure), "wide": figures(wide)},  # type: ignore[arg-type]
