@@ -1,8 +1,10 @@
-"""What a clock that goes back and an operator who is too early do to the gate: nothing."""
+"""A clock that goes back, an operator who is too early, measurements that cannot be used."""
+
+from math import nan
 
 from gate_rig import Rig
 
-from viskill_deploy.core.types import Mode, Request
+from viskill_deploy.core.types import Action, Mode, Request
 from viskill_deploy.safety.cycle import Cycle
 
 
@@ -22,3 +24,13 @@ def test_a_cell_that_is_not_armed_is_not_disarmed_either():
     assert rig.gate.disarm() is Mode.OFF
     assert rig.arm() == ()
     assert rig.gate.disarm() is Mode.CONNECTED
+
+
+def test_of_measurements_that_cannot_be_used_no_rule_is_asked_that_reads_them():
+    rig = Rig()
+    assert rig.arm() == ()
+    rig.run()
+    rig.broken[0] = {"measured_jp": (nan,) * 6}
+    decision = rig.ask(rig.stay())
+    assert decision.action is Action.FAULT
+    assert {verdict.rule for verdict in decision.verdicts} == {"S02"}
