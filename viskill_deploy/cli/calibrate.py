@@ -37,7 +37,9 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-CELL = Annotated[str, typer.Option(help="Name of the cell, such as bipegtransfer.")]
+CELL = Annotated[
+    str, typer.Option("--cell", "--robot", help="A name in robots/cells, or the path of a file.")
+]
 POINT = Annotated[
     float | None,
     typer.Option(
