@@ -18,6 +18,7 @@ from viskill_deploy.core.errors import CalibrationError
 RUN = CliRunner()
 
 
+@pytest.mark.no_cover
 def test_a_hidden_robot_is_measured_fitted_and_found(tmp_path: Path) -> None:
     points, file = tmp_path / "points", tmp_path / "calibration" / "cell.json"
     collect = ["calibrate", "collect", str(points), "--samples", "24", "--truth", "3"]
@@ -41,6 +42,7 @@ def test_a_hidden_robot_is_measured_fitted_and_found(tmp_path: Path) -> None:
     assert "median" in done.stdout
 
 
+@pytest.mark.no_cover
 def test_a_dry_run_on_a_hidden_robot_says_which_and_sees_nothing_else_of_it(
     tmp_path: Path,
 ) -> None:
@@ -62,6 +64,7 @@ def test_measurements_of_one_arm_alone_are_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "c.json").exists()
 
 
+@pytest.mark.no_cover
 def test_a_study_goes_on_where_it_was(tmp_path: Path) -> None:
     trials = tmp_path / "trials.jsonl"
     study = ["calibrate", "study", "--samples", "14", "--output", str(trials), "--json"]

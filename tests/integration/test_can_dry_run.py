@@ -5,16 +5,19 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 BUNDLE = Path(__file__).resolve().parents[2] / "policies" / "bipegtransfer-viskill"
 
 
-def test_two_episodes_through_the_drives_succeed_and_nothing_trips(tmp_path: Path) -> None:
+@pytest.mark.no_cover
+def test_an_episode_through_the_drives_succeeds_and_nothing_trips(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "viskill_deploy.cli.main", "dry-run", str(BUNDLE)]
     # half the usual rate, half the time
-    command += ["--driver", "can", "--rate", "125", "--episodes", "2", "--no-video", "--json"]
+    command += ["--driver", "can", "--rate", "125", "--no-video", "--json"]
     run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     result = json.loads(run.stdout)
-    assert result["driver"] == "can"
+    assert (result["driver"], result["rate_hz"]) == ("can", 125.0)
     assert result["success_rate"] == 1.0
     assert result["interventions"] == 0

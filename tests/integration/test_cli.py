@@ -65,6 +65,7 @@ def test_a_dry_run_with_json_prints_the_promised_figures_and_leaves_its_evidence
     assert len(recording.verdicts) >= cycles
 
 
+@pytest.mark.no_cover
 def test_the_same_seed_gives_the_same_run(tmp_path: Path) -> None:
     options = ("--no-video", "--json", "--seed", 3, "--distribution", "wide", "--output")
     first, second = (
@@ -76,6 +77,7 @@ def test_the_same_seed_gives_the_same_run(tmp_path: Path) -> None:
     assert first["margins"] == second["margins"]
 
 
+@pytest.mark.no_cover
 def test_plan_mode_streams_a_plan_that_was_checked_as_a_whole(tmp_path: Path) -> None:
     options = ("--mode", "plan", "--no-video", "--json", "--output", tmp_path / "run")
     result = figures(viskill("dry-run", BUNDLE, *options, cwd=tmp_path))
@@ -84,22 +86,11 @@ def test_plan_mode_streams_a_plan_that_was_checked_as_a_whole(tmp_path: Path) ->
     assert result["interventions"] == 0
 
 
-def test_the_rate_may_be_chosen(tmp_path: Path) -> None:
-    options = ("--rate", 500, "--no-video", "--json", "--output", tmp_path / "run")
-    result = figures(viskill("dry-run", BUNDLE, *options, cwd=tmp_path))
-    assert result["interventions"] == 0
-    standing_s = 0.5  # at the start, while the empty jaws are measured, nothing is sent
-    streamed_s = result["setpoints"] / (2 * 500)
-    assert result["simulated_s"] - standing_s < streamed_s <= result["simulated_s"]
-
-
 @pytest.mark.timeout(900)
 @pytest.mark.usefixtures("alone")
-@pytest.mark.parametrize("mode", ["closed-loop", "plan"])
-def test_a_served_loopback_in_real_time_streams_setpoint_by_setpoint(
-    mode: str, tmp_path: Path
-) -> None:
-    options = ("--realtime", "--rate", 100, "--mode", mode, "--no-video", "--json")
+@pytest.mark.no_cover
+def test_a_served_loopback_in_real_time_streams_setpoint_by_setpoint(tmp_path: Path) -> None:
+    options = ("--realtime", "--rate", 100, "--no-video", "--json")
     run = viskill("dry-run", BUNDLE, *options, "--output", tmp_path / "run", cwd=tmp_path)
     result = json.loads(run.stdout)
     assert result["real_time"] is True
@@ -133,6 +124,7 @@ def test_a_chaining_bundle_runs_through_the_whole_line_and_tells_what_it_decided
     assert "below the bundle's threshold" not in run.stderr
 
 
+@pytest.mark.no_cover
 def test_low_values_and_refused_subgoals_are_told_in_plain_words(
     affinely_chained: Path, tmp_path: Path
 ) -> None:
@@ -184,19 +176,6 @@ def test_a_signal_brings_the_arms_to_rest_and_leaves_a_report(
     assert np.abs(np.diff(last.position[-2:], axis=0)).max() < 1e-9
 
 
-def test_a_dry_run_works_where_torch_cannot_be_imported(tmp_path: Path) -> None:
-    code = (
-        "import sys; sys.modules['torch'] = None\n"
-        "from viskill_deploy.cli.main import main\n"
-        f"sys.argv = ['viskill', 'dry-run', {str(BUNDLE)!r}, '--no-video', '--output', 'run']\n"
-        "main()\n"
-    )
-    run = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert run.returncode == 0, run.stderr
-
-
 def test_a_changed_bundle_ends_with_exit_code_3_and_what_to_do(tmp_path: Path) -> None:
     copy = shutil.copytree(BUNDLE, tmp_path / "changed")
     graph = copy / "skill-grasp.onnx"
@@ -239,10 +218,10 @@ def test_a_missed_requirement_ends_with_exit_code_1(untrained_bundle: Path, tmp_
         ("no-such-command",),
     ],
 )
-def test_wrong_usage_ends_with_exit_code_2(arguments: tuple[object, ...], tmp_path: Path) -> None:
-    run = viskill(*arguments, cwd=tmp_path)
-    assert run.returncode == 2
-    assert "Traceback" not in run.stderr
+def test_wrong_usage_ends_with_exit_code_2(arguments: tuple[object, ...]) -> None:
+    run = CliRunner().invoke(app, [*map(str, arguments)])
+    assert run.exit_code == 2
+    assert "Traceback" not in run.output
 
 
 def test_an_output_folder_that_holds_something_is_not_overwritten(tmp_path: Path) -> None:

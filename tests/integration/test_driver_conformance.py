@@ -21,6 +21,8 @@ from viskill_deploy.safety.supervisor import Supervisor
 from viskill_deploy.sim.tasks.base import load_task
 from viskill_deploy.sim.world import WorldOptions
 
+pytestmark = pytest.mark.no_cover
+
 CELL = load_cell("bipegtransfer")
 
 

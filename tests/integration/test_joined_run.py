@@ -36,6 +36,8 @@ from viskill_deploy.runtime.session import Session
 from viskill_deploy.sim.tasks.base import load_task
 from viskill_deploy.sim.world import WorldOptions
 
+pytestmark = pytest.mark.no_cover
+
 BUNDLE = Path(__file__).parents[2] / "policies" / "bipegtransfer-viskill"
 CELL = load_cell("bipegtransfer")
 ARMS = [arm.name for arm in CELL.arms]

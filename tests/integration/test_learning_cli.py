@@ -86,6 +86,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
     return cwd, out, err
 
 
+@pytest.mark.no_cover
 def test_a_unit_that_is_killed_is_started_again_and_goes_on_where_it_was(
     swept: tuple[Path, str, str],
 ) -> None:

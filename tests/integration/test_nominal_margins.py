@@ -23,6 +23,7 @@ def keeps_its_distance(name, driver, folder, mode, distribution, episodes):
     return figures
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("name", TASKS)
 @pytest.mark.invariant("S33")
 def test_a_scripted_run_comes_to_no_threshold(name, tmp_path):

@@ -12,6 +12,8 @@ from viskill_deploy.runtime.dry_run import DryRunOptions, Mode, dry_run
 from viskill_deploy.runtime.figures import Outcome
 from viskill_deploy.runtime.preflight import prepare
 
+pytestmark = pytest.mark.no_cover
+
 SKILLS = ["grasp", "handover", "release"]
 SOURCES = ["chaining", "chaining", "task"]
 NAN = float("nan")

@@ -7,7 +7,7 @@ import pytest
 from scripted import scripted
 from untrained import write_untrained
 
-from viskill_deploy.runtime.dry_run import DryRunOptions, Mode, dry_run
+from viskill_deploy.runtime.dry_run import DryRunOptions, dry_run
 from viskill_deploy.runtime.preflight import Prepared, prepare
 from viskill_deploy.sim.tasks import load_task
 
@@ -34,17 +34,12 @@ class Silence:
 
 
 @pytest.mark.invariant("S33")
-@pytest.mark.parametrize(
-    ("mode", "distribution"),
-    [("closed-loop", "reference"), ("closed-loop", "wide"), ("plan", "wide")],
-)
-def test_the_task_runs_through_ik_smoothing_and_gate_without_an_intervention(
-    tmp_path: Path, mode: Mode, distribution: str
-) -> None:
+@pytest.mark.no_cover
+def test_a_plan_runs_through_ik_smoothing_and_gate_without_an_intervention(tmp_path: Path) -> None:
     bundle = scripted(write_untrained(tmp_path / "scripted", TASK), TASK)
     prepared = Prepared(bundle, TASK, TASK.cell, (), ())
     recorder = Silence()
-    options = DryRunOptions(episodes=1, seed=3, distribution=distribution, mode=mode)
+    options = DryRunOptions(episodes=1, seed=3, distribution="wide", mode="plan")
     outcome = dry_run(prepared, options, recorder, lambda result: None)
     figures = outcome.figures
     assert outcome.failure is None

@@ -13,13 +13,15 @@ from viskill_deploy.train.run import Run
 
 NEEDS_SKILLS = False
 
-STEPS = 12000
-"""Gradient steps: about what each skill of the other methods imitates for."""
+TIMES = 4
+"""As many times `imitation_steps`: about what a skill of the other methods imitates for in all."""
 
 
 def learn(run: Run) -> TaskPolicy:
     """One policy for the whole task, from demonstrations alone."""
+    skill = run.settings.skill
+    steps = TIMES * skill.imitation_steps
     skill = dataclasses.replace(
-        run.settings.skill, imitation_steps=STEPS, polish_steps=0, imitation_hindsight=0.8, rounds=0
+        skill, imitation_steps=steps, polish_steps=0, imitation_hindsight=0.8, rounds=0
     )
     return learn_flat(run, "gcbc", skill)
