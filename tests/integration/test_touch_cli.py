@@ -12,7 +12,7 @@ from calibrations import write_fresh
 from operators import Person
 from typer.testing import CliRunner
 
-from viskill_deploy.calibrate.measurements import load
+from viskill_deploy.calibrate.measurements import ARM_KEY, load
 from viskill_deploy.calibrate.truths import draw_robot, hidden_robot
 from viskill_deploy.cli import touching
 from viskill_deploy.cli.main import app
@@ -61,6 +61,24 @@ def test_ten_touches_an_arm_make_a_calibration(points: Path, tmp_path: Path) -> 
     assert 0.0 < arm.residual_rms_m < 1.5e-3
 
 
+def test_points_of_other_arms_are_not_fitted(points: Path, tmp_path: Path) -> None:
+    text = load_cell("bipegtransfer").files[0].read_text()
+    for number, name in enumerate(("PSM1", "PSM2")):
+        text = text.replace(f'name = "{name}"', f'name = "{name}"\nserial = "10000{number}"')
+    (tmp_path / "lab.toml").write_text(text)
+    fit = ["calibrate", "fit", str(points), "-o", str(tmp_path / "cell.json")]
+    done = RUN.invoke(app, [*fit, "--robot", str(tmp_path / "lab.toml")])
+    assert isinstance(done.exception, CalibrationError)
+    assert "PSM1 psm_classic simulated" in str(done.exception)
+    assert "PSM1 psm_classic 100000" in str(done.exception)
+    assert "--robot" in str(done.exception)
+    assert not (tmp_path / "cell.json").exists()
+
+
+HEAD = 4
+"""Lines before the first touch."""
+
+
 def lines(path: Path) -> list[str]:
     return path.read_text().splitlines()
 
@@ -70,22 +88,24 @@ def swapped(folder: Path) -> None:
     one.rename(folder / "spare")
     other.rename(one)
     (folder / "spare").rename(other)
+    for path in (one, other):  # as in a file that people wrote themselves
+        path.write_text("\n".join(x for x in lines(path) if not x.startswith(ARM_KEY)) + "\n")
 
 
 def few(folder: Path) -> None:
     path = folder / "PSM1.csv"
-    path.write_text("\n".join(lines(path)[:8]) + "\n")
+    path.write_text("\n".join(lines(path)[: HEAD + 5]) + "\n")
 
 
 def one_pose(folder: Path) -> None:
     path = folder / "PSM1.csv"
-    path.write_text("\n".join(lines(path)[:3] + lines(path)[3:4] * 9) + "\n")
+    path.write_text("\n".join(lines(path)[:HEAD] + lines(path)[HEAD : HEAD + 1] * 9) + "\n")
 
 
 def columns(folder: Path, change: dict[int, str]) -> None:
     path = folder / "PSM1.csv"
     rows = [line.split(",") for line in lines(path)]
-    for row in rows[3:]:
+    for row in rows[HEAD:]:
         for at, word in change.items():
             row[at] = word if word == "nan" else repr(float(row[at]) * float(word))
     path.write_text("\n".join(",".join(row) for row in rows) + "\n")
@@ -102,7 +122,7 @@ def in_degrees(folder: Path) -> None:
 def partly_in_mm(folder: Path) -> None:
     path = folder / "PSM1.csv"
     rows = [line.split(",") for line in lines(path)]
-    for row in rows[8:]:
+    for row in rows[HEAD + 5 :]:
         row[16:19] = [repr(1e3 * float(word)) for word in row[16:19]]
     path.write_text("\n".join(",".join(row) for row in rows) + "\n")
 
@@ -119,11 +139,11 @@ def wrong_order(folder: Path) -> None:
     """As if every point had been taken for the next one."""
     path = folder / "PSM1.csv"
     rows = [line.split(",") for line in lines(path)]
-    joints = [row[:16] for row in rows[3:]]
+    joints = [row[:16] for row in rows[HEAD:]]
     moved = [
-        [*joint, *row[16:]] for joint, row in zip(joints[1:] + joints[:1], rows[3:], strict=True)
+        [*joint, *row[16:]] for joint, row in zip(joints[1:] + joints[:1], rows[HEAD:], strict=True)
     ]
-    path.write_text("\n".join(",".join(row) for row in rows[:3] + moved) + "\n")
+    path.write_text("\n".join(",".join(row) for row in rows[:HEAD] + moved) + "\n")
 
 
 @pytest.mark.parametrize(

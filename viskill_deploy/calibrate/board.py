@@ -50,7 +50,7 @@ def touched_board(cell: CellDescription, arm_m: float, folder: Path) -> PoseFit:
     for index, arm in enumerate(cell.arms):
         path = folder / f"{arm.name}.csv"
         if path.exists():
-            m = measurements.load(path)
+            m = measurements.load(path, arm=arm)
             m.check()
             points.append(m.points)
             seen.append(jaw_ends(cell, index, m.joints, m.point_m))

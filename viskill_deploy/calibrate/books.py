@@ -9,6 +9,7 @@ from typing import IO
 
 from viskill_deploy.calibrate import measurements
 from viskill_deploy.calibrate.measurements import Measurements
+from viskill_deploy.core.description import CellArm
 from viskill_deploy.core.errors import CalibrationError
 
 
@@ -18,9 +19,10 @@ class Book:
     Args:
         path: the file; what it holds is kept.
         programme: says how the poses were chosen.
+        arm: what is measured.
 
     Raises:
-        CalibrationError: it holds another programme's measurements.
+        CalibrationError: it holds another programme's measurements, or another arm's.
 
     Attributes:
         done: poses that need no more visit.
@@ -28,8 +30,8 @@ class Book:
         unseen: at how many of the last ones, running, nothing was seen.
     """
 
-    def __init__(self, path: Path, programme: str) -> None:
-        title = f"# programme: {programme}\n"
+    def __init__(self, path: Path, programme: str, arm: CellArm) -> None:
+        title = f"# programme: {programme}\n{measurements.arm_line(arm)}"
         self.done = self.visited = self.unseen = 0
         if path.exists():
             self.done, self.visited = _resume(path, title)
@@ -58,12 +60,12 @@ def _resume(path: Path, title: str) -> tuple[int, int]:
     """Cuts a file off after the last pose that was done; the next pose, and how many that leaves.
 
     Raises:
-        CalibrationError: it was written by another programme.
+        CalibrationError: it was written by another programme, or for another arm.
     """
     text = path.read_text(encoding="utf-8")
     if not text.startswith(title):
         raise CalibrationError(
-            f"{path}: holds measurements of another programme; name another folder"
+            f"{path}: holds measurements of another programme or arm; name another folder"
         )
     ends = list(re.finditer(r"^# pose (\d+) done\n", text, re.MULTILINE))
     kept = text[: ends[-1].end()] if ends else title + measurements.header()

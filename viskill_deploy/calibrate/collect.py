@@ -122,7 +122,7 @@ def collect(
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = {arm.name: folder / f"{arm.name}.csv" for arm in session.cell.arms}
-    books = [Book(path, programme) for path in files.values()]
+    books = [Book(files[arm.name], programme, arm) for arm in session.cell.arms]
     result = EpisodeResult(0)
 
     def look() -> Callable[[], list[_Visits]]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from viskill_deploy.core.description import CellArm
 from viskill_deploy.core.errors import CalibrationError
 from viskill_deploy.core.types import FloatArray, frozen_array
 
@@ -22,6 +23,9 @@ COLUMNS = ("stamp_s", *_JOINTS, *_SPEEDS, *_TURNS, *_POINT)
 
 POINT_KEY = "# point_m:"
 """A comment of a file that begins so says how far from the jaw pivot its points are, m."""
+
+ARM_KEY = "# arm:"
+"""A comment of a file that begins so says which arm was measured."""
 
 FARTHEST_M = 2.0
 """A measured point further from the task frame's origin is in another unit."""
@@ -101,15 +105,22 @@ class Measurements:
             )
 
 
-def load(path: Path, point_m: float | None = None) -> Measurements:
+def arm_line(arm: CellArm) -> str:
+    """The line that says which arm was measured."""
+    return f"{ARM_KEY} {arm.name} {arm.entry.robot} {arm.entry.serial} {arm.entry.tool}\n"
+
+
+def load(path: Path, point_m: float | None = None, arm: CellArm | None = None) -> Measurements:
     """Reads a CSV file with the columns of `COLUMNS`, in any order, others ignored.
 
     Args:
         path: the file.
         point_m: from the jaw pivot to the measured points; what the file says by default, else 0.
+        arm: whose measurements they have to be, where the file says whose they are.
 
     Raises:
-        CalibrationError: no such file, a missing column, or an entry that is no number; names it.
+        CalibrationError: no such file, a missing column, an entry that is no number, or the
+            measurements are another arm's; names it.
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -130,6 +141,13 @@ def load(path: Path, point_m: float | None = None) -> Measurements:
         ]
         return np.array(values, dtype=np.float64).reshape(len(rows), len(names))
 
+    whose = next((x for x in lines if x.startswith(ARM_KEY)), None)
+    if arm is not None and whose not in (None, arm_line(arm)):
+        raise CalibrationError(
+            f"{path}: was measured on {str(whose).removeprefix(ARM_KEY).strip()}, and the cell has "
+            f"{arm_line(arm).removeprefix(ARM_KEY).strip()}; name the cell that was measured with "
+            "--robot"
+        )
     stated = next((x for x in lines if x.startswith(POINT_KEY)), f"{POINT_KEY} 0.0")
     if point_m is None:
         point_m = _number(path, -1, POINT_KEY, stated.removeprefix(POINT_KEY))

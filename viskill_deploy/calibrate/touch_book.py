@@ -13,6 +13,7 @@ from viskill_deploy.calibrate import measurements
 from viskill_deploy.calibrate.landmarks import Landmark
 from viskill_deploy.calibrate.measurements import Measurements
 from viskill_deploy.calibrate.resting import Rested
+from viskill_deploy.core.description import CellArm
 from viskill_deploy.core.errors import CalibrationError
 from viskill_deploy.core.types import FloatArray
 
@@ -41,7 +42,7 @@ class TouchBook:
     Args:
         path: its file, `<arm>.csv`; what is there already is kept.
         title: says what the points belong to; a file with another title is refused.
-        point_m: from the jaw pivot to what touches, along the tip.
+        arm: what touches them; likewise.
 
     Attributes:
         touches: by name of the point, in the order of touching.
@@ -50,9 +51,11 @@ class TouchBook:
         CalibrationError: the file holds something else, or cannot be read.
     """
 
-    def __init__(self, path: Path, title: str, point_m: float) -> None:
-        self.path, self._point_m = path, point_m
-        self._head = f"# {title}\n{measurements.POINT_KEY} {point_m!r}\n"
+    def __init__(self, path: Path, title: str, arm: CellArm) -> None:
+        self.path, self._point_m = path, arm.arm.jaw.finger_length_m
+        self._head = (
+            f"# {title}\n{measurements.arm_line(arm)}{measurements.POINT_KEY} {self._point_m!r}\n"
+        )
         self.touches: dict[str, Touch] = {}
         if path.exists():
             self._resume()

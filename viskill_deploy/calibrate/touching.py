@@ -83,10 +83,7 @@ def touch(
     """
     folder.mkdir(parents=True, exist_ok=True)
     title = f"{what}: cell {cell.name}"
-    books = {
-        arm.name: TouchBook(folder / f"{arm.name}.csv", title, arm.arm.jaw.finger_length_m)
-        for arm in cell.arms
-    }
+    books = {arm.name: TouchBook(folder / f"{arm.name}.csv", title, arm) for arm in cell.arms}
     hand.tell(HELP)
     for name, book in books.items():
         if book.touches:

@@ -91,7 +91,7 @@ def fit_command(
         _fit_board(described, folder, calibration, output, json_)
         return
     files = {arm.name: folder / f"{arm.name}.csv" for arm in described.arms}
-    fits = {arm.name: fit_arm(arm, load(files[arm.name], point)) for arm in described.arms}
+    fits = {arm.name: fit_arm(arm, load(files[arm.name], point, arm)) for arm in described.arms}
     found = with_errors(described, {name: fit.errors for name, fit in fits.items()})
     shafts = [(arm, folder / f"{arm.name}_shaft.csv") for arm in found.arms]
     ports = {arm.name: port_of(arm, path) for arm, path in shafts if path.exists()}
@@ -160,7 +160,7 @@ def report_command(
     described = load_cell(cell)
     judged = []
     for index, arm in enumerate(described.arms):
-        measured = load(folder / f"{arm.name}.csv", point)
+        measured = load(folder / f"{arm.name}.csv", point, arm)
         judged.append(judge(described, index, measured, fit_arm(arm, measured)))
     output.parent.mkdir(parents=True, exist_ok=True)
     print(write_calibration_report(output, cell, judged))
