@@ -24,22 +24,26 @@ lint: $(VENV)/.dev
 	$(BIN)/lint-imports
 
 # What needs ROS runs in environments of its own; tests/ros/install says what is in them. Conformance
-# runs apart: its simulated arms are on the names that the other tests use.
+# runs apart: its simulated arms are on the names that the other tests use. Whole episodes against the
+# clock (`quiet`) run with nothing beside them.
 unit: $(VENV)/.dev
 	VENV=$(VENV) tests/ros/install
 	rm -f .coverage .coverage.*
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal --cov --cov-report= \
+	OMP_NUM_THREADS=1 $(BIN)/coverage run -m pytest -n 2 --dist worksteal \
 	  -m "not slow and not faults and not ros1 and not ros2 and not quiet"
+	OMP_NUM_THREADS=1 $(BIN)/pytest -m "quiet and not (slow or ros1 or ros2)" tests/integration
+	OMP_NUM_THREADS=1 .venv-ros2/bin/python -m pytest -m "quiet and ros2 and not slow" tests/integration
 	for ros in ros1 ros2; do for part in "$(CONFORMANCE)" "tests/ros --ignore=$(CONFORMANCE)"; do \
-	  OMP_NUM_THREADS=1 .venv-$$ros/bin/python -m pytest --cov --cov-append --cov-report= \
+	  OMP_NUM_THREADS=1 .venv-$$ros/bin/python -m coverage run -m pytest \
 	    -m $$ros $$part || exit; done; done
+	$(BIN)/coverage combine -q
 	$(BIN)/coverage html -q
 	$(BIN)/coverage report --fail-under=90 | tail -n 25
 	$(BIN)/coverage report --include='viskill_deploy/safety/*' --fail-under=100
 
 # Tests that take minutes, such as 100,000 random ticks of the IK.
 slow: $(VENV)/.dev
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 -m slow
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "slow and not quiet"
 	@echo "make slow: the long tests passed."
 
 # The wheel, alone in an environment of its own without torch, does the main job.
@@ -103,7 +107,9 @@ can: $(VENV)/.dev
 # BiPegTransfer in real time through the wire at 200 Hz: simulated dVRK and driver are two processes.
 wire: $(VENV)/.dev
 	VENV=$(VENV) tests/ros/install
-	OMP_NUM_THREADS=1 $(BIN)/pytest -m quiet tests/integration
+	OMP_NUM_THREADS=1 $(BIN)/pytest -m "quiet and slow and not (ros1 or ros2)" tests/integration
+	for ros in ros1 ros2; do OMP_NUM_THREADS=1 .venv-$$ros/bin/python -m pytest \
+	  -m "quiet and slow and $$ros" tests/integration || exit; done
 	OMP_NUM_THREADS=1 $(BIN)/viskill dry-run $(BUNDLE) --driver crtk --realtime --transport dds \
 	  --rate 200 --episodes $(EPISODES) --require-success 0.85 --no-video --json
 	OMP_NUM_THREADS=1 .venv-ros2/bin/python -m viskill_deploy.cli.main dry-run $(BUNDLE) \

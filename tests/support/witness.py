@@ -49,12 +49,12 @@ class Witness:
     def _hold(self, arm: str, message: Empty, now: float) -> None:
         self.words[arm].append((now, "hold"))
 
-    def when(self, arm: str, state: str, timeout_s: float = 5.0) -> float:
-        """When an arm first was in a state."""
+    def when(self, arm: str, state: str, since: float = 0.0, timeout_s: float = 5.0) -> float:
+        """When an arm first came to a state, from a moment on."""
         deadline = time.monotonic() + timeout_s
         while True:
             for at, name in self.states[arm]:
-                if name == state:
+                if name == state and at >= since:
                     return at
             assert time.monotonic() < deadline, f"{arm} never was {state}, only {self.states}"
             time.sleep(0.002)
@@ -63,8 +63,7 @@ class Witness:
 def assert_held_in_time(witness: Witness, since: float) -> None:
     """Both arms were held and paused within 100 ms where the system permits promptness."""
     for arm in ARMS:
-        paused, disabled = witness.when(arm, PAUSED), witness.when(arm, DISABLED)
-        assert paused > since
+        paused, disabled = witness.when(arm, PAUSED, since), witness.when(arm, DISABLED, since)
         if not realtime.refusals():
             assert paused - since <= HELD_WITHIN_S
         assert disabled - paused >= DISABLE_S - LOST_S - 0.05

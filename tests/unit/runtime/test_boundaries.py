@@ -114,6 +114,7 @@ def test_a_block_that_falls_back_on_its_peg_is_taken_again():
     assert (result.stopped_by, result.retries) == ("", 1)
 
 
+@pytest.mark.no_cover
 def test_in_plan_mode_a_block_lost_in_the_handover_is_noticed_before_the_release():
     notes, cycles = Notes(), []
 
@@ -131,6 +132,7 @@ def test_in_plan_mode_a_block_lost_in_the_handover_is_noticed_before_the_release
     np.testing.assert_allclose(notes.sent[-1], notes.sent[0], atol=1e-3)
 
 
+@pytest.mark.no_cover
 def test_a_letter_that_is_lost_out_of_reach_is_not_tried_again_and_the_reason_is_told(tmp_path):
     when = once(lifted(0, 0.01), np.array([0.05, 0.0, 0.0]))
     result, notes, session = knocked(of_script(LETTER, tmp_path, 1), layout(LETTER), when)
