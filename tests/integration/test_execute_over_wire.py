@@ -79,7 +79,7 @@ def test_all_stages_from_the_rehearsal_to_the_whole_task(tmp_path: Path, wire: s
 
         kept, person = Kept(), AtPedal(arms)
         air = until_the_machine_is_in_time(
-            arms, lambda: arms.execute(person, kept, lift_m=0.03, stops="waypoint")
+            arms, lambda: arms.execute(person, kept, lift_m=0.015, stops="waypoint")
         )
         assert skills(air) == ALL
         assert sum(question.startswith("next:") for question in person.asked) > 10

@@ -153,8 +153,8 @@ class ServedLoopback:
         return replace(state, inputs=self.watch.told(state.inputs, self.clock.now()))
 
     def truth(self) -> CellState:
-        """The newest measurement that has arrived, as the simulator has it."""
-        self._drain()
+        """Where the arms are now, as the simulator has it; the scene is as new from then on."""
+        self._ask({"do": "look"})
         return unpack_state(self._state)
 
     def servo_jp(self, setpoints: Sequence[CheckedSetpoint]) -> None:

@@ -175,6 +175,10 @@ class LoopbackServer:
             answer: Message = {"done": verb, "id": message["id"]}
             if verb == "active_object":
                 answer["object"] = pack_object(self.cell.world.active_object())
+            if verb == "look":  # what a client that did not read has missed is not sent again
+                now = self.clock.now()
+                answer["state"] = pack_state(self.cell.state(now))
+                answer["scene"] = pack_scene(self.cell.scene(now))
             if verb == "heard" and self._front is not None:
                 answer["heard"] = self._front.heard()
             client.offer(answer, must_arrive=True)
@@ -199,7 +203,7 @@ class LoopbackServer:
                 cell.break_drive(message["joint"], message["kind"])
             case "cause" if self._front is not None:
                 self._front.cause(message["fault"], message["arm"], message["is_on"])
-            case "active_object" | "heard":
+            case "active_object" | "heard" | "look":
                 pass
             case "stop":
                 cell.disable()
