@@ -5,10 +5,12 @@ The arms are simulated, in a process of their own. The person has a foot on the 
 
 from __future__ import annotations
 
+import atexit
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +76,14 @@ class Kept(SilentRecorder):
         self._began = len(self.passed) if self._began < 0 else self._began
 
 
+@cache
+def _master() -> PrivateNetwork:
+    """The ROS 1 master of all labs: a process belongs to one master as long as it lives."""
+    private = PrivateNetwork("ros1")
+    atexit.register(private.close)
+    return private
+
+
 class Lab:
     """Arms, files and pedal.
 
@@ -97,8 +107,9 @@ class Lab:
         self.scene.write_text(SCENE, encoding="utf-8")
         cell = load_cell(str(self.robot))
         self.calibration = write_fresh(folder / "lab.json", cell)
-        private = PrivateNetwork(transport)
-        self._stack.callback(private.close)
+        private = _master() if transport == "ros1" else PrivateNetwork(transport)
+        if transport != "ros1":
+            self._stack.callback(private.close)
         self.network, options = private.network, ServerOptions(homing=homing)
         self.server = served_arms(cell, transport, self.network, WorldOptions(), 0, options)
         self._stack.callback(self.server.close)
