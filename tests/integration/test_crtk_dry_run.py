@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-TRIALS = 4
+TRIALS = 6
 LATE = ("S18", "S19", "S20", "S24", "S25")
 """Rules by which the gate stops arms whose machine is late."""
 
@@ -34,23 +34,23 @@ def test_a_bundle_does_its_task_on_stepped_dvrk_arms_at_200_hz(tmp_path: Path):
 @pytest.mark.quiet
 @pytest.mark.no_cover
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("transport", ["dds", pytest.param("ros2", marks=pytest.mark.ros2)])
-def test_two_episodes_through_the_wire_against_the_clock(tmp_path: Path, transport: str):
+def test_two_episodes_through_the_wire_against_the_clock(tmp_path: Path):
     """A machine that is too busy holds the arms (S18, S20), which is no fault of the wire."""
+    done = 0
     for trial in range(TRIALS):
-        network = ("--transport", transport, "--rate", "200")
-        done = dry_run(tmp_path / str(trial), "--realtime", *network, "--episodes", "2")
-        figures = json.loads(done.stdout)
+        network = ("--transport", "dds", "--rate", "200", "--seed", str(trial))
+        run = dry_run(tmp_path / str(trial), "--realtime", *network)
+        figures = json.loads(run.stdout)
         way = figures["on_the_way"]
         assert way["sent"] >= way["heard"] > 100
         assert way["lost"] <= 0.05 * way["sent"]
         assert 0.0 < way["age_p50_ms"] <= way["age_p99_ms"]
-        if figures["interventions"] == 0:
-            assert done.returncode == 0, done.stderr
-            assert figures["success_rate"] == 1.0
-            assert (figures["episodes"], figures["rate_hz"]) == (2, 200.0)
-            return
+        assert figures["rate_hz"] == 200.0
         assert {e["stopped_by"] for e in figures["episode_results"]} <= {"", *LATE}
+        assert run.returncode == (5 if figures["interventions"] else 0), run.stderr
+        done += figures["success_rate"] == 1.0
+        if done == 2:
+            return
     pytest.fail(f"{TRIALS} runs were ended by the gate; make the machine less busy")
 
 

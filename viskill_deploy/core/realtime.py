@@ -23,10 +23,10 @@ ROBOT_PRIORITY = 45
 """Of a simulated robot, which takes half of a core: a real one has a computer of its own, and does
 not stand in the control loop's way."""
 
-SWITCH_S = 0.0001
+SWITCH_S = 0.001
 """A thread gives Python's lock away whenever it sleeps, sends or waits, and waits this long to get
-it back from one that computes, such as a policy that thinks. Python's own 5 ms would make 15 or 80
-of one cycle."""
+it back from one that computes, such as a policy that thinks. Python's own 5 ms are a whole cycle;
+0.1 ms make threads that have much to do take it from each other all the time."""
 
 PYTHONS_SWITCH_S = 0.005
 
@@ -48,7 +48,7 @@ def settle() -> list[str]:
     """
     global _settled  # noqa: PLW0603 - a property of the process
     if _settled is None:
-        sys.setswitchinterval(SWITCH_S)
+        sys.setswitchinterval(min(SWITCH_S, sys.getswitchinterval()))
         gc.collect()
         gc.freeze()
         _settled = []

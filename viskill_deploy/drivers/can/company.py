@@ -13,6 +13,10 @@ from collections.abc import Callable
 from viskill_deploy.core import realtime
 from viskill_deploy.core.clock import Clock
 
+SWITCH_S = 0.0001
+"""A thread gives Python's lock away with every frame that it sends, and waits this long to get it
+back from one that computes. Python's own 5 ms would make 80 of one cycle."""
+
 
 class Company:
     """A thread that calls `keep` once in every period until it is closed.
@@ -27,7 +31,7 @@ class Company:
         self._keep, self._clock, self._period_s = keep, clock, period_s
         self._is_over = False
         self._switch_s = sys.getswitchinterval()
-        sys.setswitchinterval(realtime.SWITCH_S)
+        sys.setswitchinterval(SWITCH_S)
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
