@@ -24,8 +24,9 @@ lint: $(VENV)/.dev
 	$(BIN)/lint-imports
 
 # What needs ROS runs in environments of its own; tests/ros/install says what is in them. Conformance
-# runs apart: its simulated arms are on the names that the other tests use. Whole episodes against the
-# clock (`quiet`) run with nothing beside them.
+# runs apart: its simulated arms are on the names that the other tests use. What runs arms against the
+# clock (`quiet`) has nothing beside it: two at a time would ask for more with real-time priority than
+# two cores have, and Linux then lets every control loop stand still for 50 ms in one piece.
 unit: $(VENV)/.dev
 	VENV=$(VENV) tests/ros/install
 	rm -f .coverage .coverage.*

@@ -1,8 +1,6 @@
 """What several tests share: a small bundle with untrained skills, and its task."""
 
-import fcntl
 import sys
-import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -41,18 +39,6 @@ def _unmeasured(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch)
     yield
     threading.settrace(threads)  # type: ignore[arg-type]
     sys.settrace(here)
-
-
-@pytest.fixture
-def alone() -> Iterator[None]:
-    """No other test on this machine drives arms against the clock meanwhile.
-
-    Two at a time would ask for more with real-time priority than two cores have. Linux then gives
-    all others 50 ms in one piece, in which every control loop stands still.
-    """
-    with (Path(tempfile.gettempdir()) / "viskill-test-against-the-clock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from viskill_deploy.core.types import Mode
 from viskill_deploy.drivers.base import PAUSED
 from viskill_deploy.observe.reading import read_recording
 
-pytestmark = [pytest.mark.usefixtures("alone"), pytest.mark.timeout(900)]  # its turn may be far
+pytestmark = [pytest.mark.quiet, pytest.mark.timeout(900)]
 TRIALS = 8
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from crtk_domain import DOMAIN
 
-pytestmark = [pytest.mark.usefixtures("alone"), pytest.mark.timeout(900)]  # its turn may be far
+pytestmark = [pytest.mark.quiet, pytest.mark.timeout(900)]
 ROOT = Path(__file__).resolve().parents[2]
 
 

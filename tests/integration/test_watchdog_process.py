@@ -14,7 +14,7 @@ from viskill_deploy.drivers.base import DISABLED, PAUSED
 from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.safety.watchdog import DISABLE_S, LOST_S
 
-pytestmark = [pytest.mark.usefixtures("alone"), pytest.mark.timeout(900)]  # its turn may be far
+pytestmark = [pytest.mark.quiet, pytest.mark.timeout(900)]
 PERIOD_S = 0.004
 HELD_WITHIN_S = 0.1
 REST_RAD_S = 0.02
@@ -27,7 +27,7 @@ def assert_held_in_time(run: RuntimeToKill, since: float) -> None:
     assert late > 0.0
     if not realtime.refusals():
         assert late <= HELD_WITHIN_S
-    assert run.stopped_s["disable"] - run.stopped_s["hold"] >= DISABLE_S - LOST_S - 1e-3
+    assert run.stopped_s["disable"] - run.stopped_s["hold"] >= DISABLE_S - LOST_S - 0.05
 
 
 @pytest.mark.parametrize("trial", range(3))

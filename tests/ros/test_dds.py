@@ -3,13 +3,16 @@
 import socket
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 from crtk_domain import DOMAIN
 from crtk_peer import strays
+from cyclonedds.core import DDSException
 from test_transports import Ear
 
 from viskill_deploy.core.errors import DriverError
+from viskill_deploy.drivers.crtk import dds
 from viskill_deploy.drivers.crtk.loopback_only import confine
 from viskill_deploy.drivers.crtk.messages import Bool
 from viskill_deploy.drivers.crtk.opening import LOOPBACK, Network, open_transport
@@ -26,6 +29,29 @@ def test_services_are_refused() -> None:
     with pytest.raises(DriverError, match="ros2"):
         node.serve("/PSM1/inverse_kinematics", Bool, Bool, lambda request: request)
     node.close()
+
+
+@pytest.mark.parametrize("refusals", [2, 3])
+def test_a_topic_that_is_refused_is_tried_again(
+    refusals: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, left = dds.Topic, [DDSException(-3)] * refusals
+
+    def refusing(*arguments: Any) -> Any:
+        if left:
+            raise left.pop()
+        return made(*arguments)
+
+    monkeypatch.setattr(dds, "Topic", refusing)
+    node = open_transport("dds", Network(DOMAIN, LOOPBACK))
+    try:
+        if refusals < len(dds.RETRIES_S):
+            node.publisher("/PSM1/ready", Bool)(Bool(True))
+        else:
+            with pytest.raises(DriverError, match="/PSM1/ready: this topic does not open"):
+                node.publisher("/PSM1/ready", Bool)
+    finally:
+        node.close()
 
 
 def test_a_domain_is_on_one_interface_at_a_time() -> None:

@@ -39,6 +39,9 @@ from viskill_deploy.drivers.crtk.interfaces import cyclone_settings, is_loopback
 from viskill_deploy.drivers.crtk.loopback_only import confine
 from viskill_deploy.drivers.crtk.transport import EVENTS_KEPT, M, Q, R, TransportName, hand_over
 
+RETRIES_S = (0.01, 0.05, 0.1)
+"""How long a topic that was refused is left alone before it is tried again, and how often."""
+
 
 @dataclass
 class _Shared:
@@ -174,12 +177,21 @@ class Dds:
         if not self._is_open:
             raise DriverError(f"{name}: this node is closed")
         if name not in self._opened.topics:
-            topic = Topic(self._node, f"rt{name}", carrier(message))
-            self._opened.topics[name] = message, topic
+            self._opened.topics[name] = message, self._made(name, message)
         carried, topic = self._opened.topics[name]
         if carried is not message:
             raise DriverError(f"{name} carries {carried.__name__}, not {message.__name__}")
         return topic
+
+    def _made(self, name: str, message: type[Any]) -> Any:
+        """A topic. CycloneDDS has been seen to refuse a good one, once in some ten thousand."""
+        for wait_s in RETRIES_S:
+            try:
+                return Topic(self._node, f"rt{name}", carrier(message))
+            except DDSException as error:
+                refused = error
+            self._clock.sleep_until(self._clock.now() + wait_s)
+        raise DriverError(f"{name}: this topic does not open ({refused}); start again")
 
     def _listen(self) -> None:
         """The node's thread."""
