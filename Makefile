@@ -36,7 +36,7 @@ unit: $(VENV)/.dev
 	for ros in ros1 ros2; do for part in "$(CONFORMANCE)" "tests/ros --ignore=$(CONFORMANCE)"; do \
 	  OMP_NUM_THREADS=1 .venv-$$ros/bin/python -m coverage run -m pytest \
 	    -m $$ros $$part || exit; done; done
-	$(BIN)/coverage combine -q
+	-$(BIN)/coverage combine -q  # what a killed process has begun to write is no data
 	$(BIN)/coverage html -q
 	$(BIN)/coverage report --fail-under=90 | tail -n 25
 	$(BIN)/coverage report --include='viskill_deploy/safety/*' --fail-under=100
