@@ -54,7 +54,7 @@ wheel-check: $(VENV)/.dev
 	build/wheel/env/bin/pip install -q build/wheel/*.whl
 	cd build/wheel && ! env/bin/python -c "import torch" 2>/dev/null
 	cd build/wheel && env/bin/viskill dry-run bipegtransfer-viskill --no-video --output run \
-	  --calibration calibration/loopback_example.json
+	  --calibration calibration/loopback_example.json --require-success 1
 	@echo "make wheel-check: the wheel dry-ran its bundle without torch; output in build/wheel/run."
 
 # Speed of one control period against pink, in one run.

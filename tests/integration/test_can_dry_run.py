@@ -21,3 +21,6 @@ def test_an_episode_through_the_drives_succeeds_and_nothing_trips(tmp_path: Path
     assert (result["driver"], result["rate_hz"]) == ("can", 125.0)
     assert result["success_rate"] == 1.0
     assert result["interventions"] == 0
+    standing_s = 0.6  # at the start, while the empty jaws are measured, nothing is sent
+    streamed_s = result["setpoints"] / (2 * 125)
+    assert result["simulated_s"] - standing_s < streamed_s <= result["simulated_s"]

@@ -88,7 +88,6 @@ def test_plan_mode_streams_a_plan_that_was_checked_as_a_whole(tmp_path: Path) ->
 
 @pytest.mark.timeout(900)
 @pytest.mark.quiet
-@pytest.mark.no_cover
 def test_a_served_loopback_in_real_time_streams_setpoint_by_setpoint(tmp_path: Path) -> None:
     options = ("--realtime", "--rate", 100, "--no-video", "--json")
     run = viskill("dry-run", BUNDLE, *options, "--output", tmp_path / "run", cwd=tmp_path)

@@ -32,7 +32,6 @@ def test_a_bundle_does_its_task_on_stepped_dvrk_arms_at_200_hz(tmp_path: Path):
 
 
 @pytest.mark.quiet
-@pytest.mark.no_cover
 @pytest.mark.timeout(900)
 def test_two_episodes_through_the_wire_against_the_clock(tmp_path: Path):
     """A machine that is too busy holds the arms (S18, S20), which is no fault of the wire."""

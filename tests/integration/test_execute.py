@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lab_files import SCENE
 from operators import Person, Spied
 from silent_recorder import SilentRecorder
 
@@ -32,18 +33,6 @@ ROOT = Path(__file__).resolve().parents[2]
 BUNDLE = ROOT / "policies/bipegtransfer-viskill"
 DEEP = 0.12
 """Insertion to which a dVRK homes its simulated arms."""
-
-SCENE = """
-schema = 1
-cell = "bipegtransfer"
-active = "block1"
-goal_m = [0.01, 0.043, 0.00725]
-[[object]]
-name = "block1"
-position_m = [0.013, -0.027, 0.00725]
-sigma_position_m = [0.0005, 0.0005, 0.0002]
-sigma_rotation_rad = [0.0, 0.0, 0.03]
-"""
 
 
 @pytest.fixture(scope="module")

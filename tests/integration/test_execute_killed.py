@@ -40,7 +40,6 @@ def killed_in_mid_motion(process: "subprocess.Popen[str]", arms: Lab) -> float:
 
 
 @pytest.mark.quiet
-@pytest.mark.no_cover
 @pytest.mark.timeout(900)
 @pytest.mark.invariant("S25")
 def test_arms_of_a_killed_execute_are_held_within_100_ms_and_then_without_power(

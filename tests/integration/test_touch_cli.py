@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibrations import write_fresh
+from lab_files import with_serials
 from operators import Person
 from typer.testing import CliRunner
 
@@ -62,10 +63,7 @@ def test_ten_touches_an_arm_make_a_calibration(points: Path, tmp_path: Path) -> 
 
 
 def test_points_of_other_arms_are_not_fitted(points: Path, tmp_path: Path) -> None:
-    text = load_cell("bipegtransfer").files[0].read_text()
-    for number, name in enumerate(("PSM1", "PSM2")):
-        text = text.replace(f'name = "{name}"', f'name = "{name}"\nserial = "10000{number}"')
-    (tmp_path / "lab.toml").write_text(text)
+    (tmp_path / "lab.toml").write_text(with_serials("bipegtransfer"))
     fit = ["calibrate", "fit", str(points), "-o", str(tmp_path / "cell.json")]
     done = RUN.invoke(app, [*fit, "--robot", str(tmp_path / "lab.toml")])
     assert isinstance(done.exception, CalibrationError)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from calibrations import write_fresh
+from lab_files import SCENE, with_serials
 from operators import Person
 from silent_recorder import SilentRecorder
 
@@ -40,18 +41,6 @@ CELL = "bipegtransfer"
 PEDAL = "/console/emulate_operator_present"
 TRACKER = "/scene/{object}/measured_cp"
 PATIENCE_S = 10.0
-
-SCENE = f"""
-schema = 1
-cell = "{CELL}"
-active = "block1"
-goal_m = [0.01, 0.043, 0.00725]
-[[object]]
-name = "block1"
-position_m = [0.013, -0.027, 0.00725]
-sigma_position_m = [0.0005, 0.0005, 0.0002]
-sigma_rotation_rad = [0.0, 0.0, 0.03]
-"""
 
 
 class Kept(SilentRecorder):
@@ -100,10 +89,7 @@ class Lab:
     def __init__(self, folder: Path, transport: str, homing: Homing = "stay") -> None:
         self.transport, self._stack = transport, ExitStack()
         self.robot, self.scene = folder / "lab.toml", folder / "scene.toml"
-        text = load_cell(CELL).files[0].read_text(encoding="utf-8")
-        for number, name in enumerate(("PSM1", "PSM2")):
-            text = text.replace(f'name = "{name}"', f'name = "{name}"\nserial = "10000{number}"')
-        self.robot.write_text(text, encoding="utf-8")
+        self.robot.write_text(with_serials(CELL), encoding="utf-8")
         self.scene.write_text(SCENE, encoding="utf-8")
         cell = load_cell(str(self.robot))
         self.calibration = write_fresh(folder / "lab.json", cell)

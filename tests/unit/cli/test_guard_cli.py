@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 from calibrations import write_fresh
+from lab_files import with_serials
 from typer.testing import CliRunner
 
 from viskill_deploy.cli.main import app
@@ -33,9 +34,6 @@ def test_a_calibration_of_another_cell_is_refused(tmp_path: Path) -> None:
 def test_arms_with_serial_numbers_need_their_calibration(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    text = Path(load_cell("bipegtransfer").files[0]).read_text(encoding="utf-8")
-    for number, name in (("100001", "PSM1"), ("100002", "PSM2")):
-        text = text.replace(f'name = "{name}"', f'name = "{name}"\nserial = "{number}"')
     lab = tmp_path / "lab.toml"
-    lab.write_text(text, encoding="utf-8")
+    lab.write_text(with_serials("bipegtransfer"), encoding="utf-8")
     assert "--calibration" in refusal("--cell", str(lab))

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibrations import calibration_of, write_fresh
+from lab_files import SCENE
 
 from viskill_deploy.core import data
 from viskill_deploy.core.calibration_files import write_calibration
@@ -21,18 +22,6 @@ from viskill_deploy.safety.rule_base import find_rules
 ROOT = Path(__file__).resolve().parents[3]
 BUNDLE = ROOT / "policies/bipegtransfer-viskill"
 DAY = 86400.0
-
-SCENE = """
-schema = 1
-cell = "bipegtransfer"
-active = "block1"
-goal_m = [0.01, 0.043, 0.00725]
-[[object]]
-name = "block1"
-position_m = [0.013, -0.027, 0.00725]
-sigma_position_m = [0.0005, 0.0005, 0.0002]
-sigma_rotation_rad = [0.0, 0.0, 0.03]
-"""
 
 
 def scene_file(folder: Path, old: str = "", new: str = "") -> Path:

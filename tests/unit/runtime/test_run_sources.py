@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibrations import write_fresh
+from lab_files import SCENE
 from silent_recorder import SilentRecorder
 from typer.testing import CliRunner
 
@@ -20,18 +21,6 @@ from viskill_deploy.sim.world import WorldOptions
 
 ROOT = Path(__file__).resolve().parents[3]
 BUNDLE = ROOT / "policies/bipegtransfer-viskill"
-
-SCENE = """
-schema = 1
-cell = "bipegtransfer"
-active = "block1"
-goal_m = [0.01, 0.043, 0.00725]
-[[object]]
-name = "block1"
-position_m = [0.013, -0.027, 0.00725]
-sigma_position_m = [0.0005, 0.0005, 0.0002]
-sigma_rotation_rad = [0.0, 0.0, 0.03]
-"""
 
 
 class FirstScene(SilentRecorder):

@@ -184,7 +184,7 @@ class Dds:
         return topic
 
     def _made(self, name: str, message: type[Any]) -> Any:
-        """A topic. CycloneDDS has been seen to refuse a good one, once in some ten thousand."""
+        """A topic. CycloneDDS has been seen to refuse a good one; why is not known."""
         for wait_s in RETRIES_S:
             try:
                 return Topic(self._node, f"rt{name}", carrier(message))
