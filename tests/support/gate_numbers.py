@@ -64,6 +64,8 @@ def constants() -> dict[str, Any]:
 def _is_numbers(value: Any) -> bool:
     if isinstance(value, tuple):
         return bool(value) and all(map(_is_numbers, value))
+    if isinstance(value, dict):
+        return _is_numbers(tuple(value.values()))
     return isinstance(value, int | float)
 
 

@@ -35,8 +35,9 @@ class ChainAmounts:
         planned_updates: the same after the last planned round.
         test_every: rounds between tests.
         test_lots: lots of episodes in a test.
-        spread_share: part of the episodes in which one skill's subgoal is moved at random, so that
-            values are also asked about subgoals that the policy would not choose.
+        spread_share: part of the episodes in which the subgoals of one skill or of some in a row
+            are moved at random, so that values are also asked about subgoals and states that the
+            policy would not choose.
         spread_m: by up to this on each axis.
         capacity: episodes remembered.
     """
@@ -262,15 +263,16 @@ class ChainLearner:
         return run_task(self.loop, Chained(self.skills, self.chaining, self._rng, spread))
 
     def _spread(self) -> FloatArray:
-        """Moves one skill's subgoal in part of the episodes, (count, skills, 6)."""
+        """Moves subgoals of some skills in a row in part of the episodes, (count, skills, 6)."""
         count, skills = self.loop.count, len(self.loop.task.skills)
-        spread = np.zeros((count, skills, POSITIONS))
-        which = self._rng.integers(skills - 1, size=count)
-        moved = self._rng.random(count) < self.amounts.spread_share
-        reach = self.amounts.spread_m * self._rng.random((count, 1))
-        by = reach * self._rng.uniform(-1.0, 1.0, (count, POSITIONS))
-        spread[np.flatnonzero(moved), which[moved]] = by[moved]
-        return spread * self.chaining.space.free
+        ends = np.sort(self._rng.integers(skills - 1, size=(count, 2)), axis=1)
+        order = np.arange(skills)
+        moved = (order >= ends[:, :1]) & (order <= ends[:, 1:])
+        moved &= self._rng.random((count, 1)) < self.amounts.spread_share
+        reach = self.amounts.spread_m * self._rng.random((count, 1, 1))
+        by = reach * self._rng.uniform(-1.0, 1.0, (count, skills, POSITIONS))
+        spread: FloatArray = by * moved[:, :, None] * self.chaining.space.free
+        return spread
 
     def _test(self) -> float:
         rng = np.random.default_rng((self.seed + VALIDATION, 100))  # the same layouts every time

@@ -32,6 +32,9 @@ TITLES = {
 }
 """What the paper calls our methods; it has no name for the last one."""
 
+MAIN = "viskill"
+"""The paper's method: what the others are held against, and whose value is a probability."""
+
 BASELINES = ("viskill", "tstar", "dex", "gcbc")
 ABLATIONS = ("viskill", "viskill_dm", "viskill_ldm", "viskill_sr", "self_imitation")
 

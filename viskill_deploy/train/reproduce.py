@@ -13,6 +13,7 @@ from viskill_deploy.train.paper import (
     ABLATIONS,
     BASELINES,
     CORE_HOURS,
+    MAIN,
     PUBLISHED,
     TASKS,
     TITLES,
@@ -23,7 +24,6 @@ from viskill_deploy.train.results import Figures, Result, read_result
 from viskill_deploy.train.value_figure import draw_values
 
 NOT_RUN = "not run"
-MAIN = "viskill"
 SHARED = ("demos", "skill-")
 """How the stages begin that all methods of a run share."""
 

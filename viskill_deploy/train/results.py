@@ -44,7 +44,7 @@ class Measuring:
 
     Attributes:
         episodes: deterministic ones in each distribution of the task.
-        calibration_episodes: of each skill, if the method has a value; 0 for none.
+        calibration_episodes: of each skill, of ViSkill alone; 0 for none.
     """
 
     episodes: int = 100
@@ -107,7 +107,7 @@ class Result:
         measuring: how it was measured.
         training: how it was learned.
         scores: by distribution.
-        calibration: of the value; None for a method without one.
+        calibration: of ViSkill's value; None for other methods.
         measuring_seconds: of evaluation and calibration.
     """
 

@@ -36,6 +36,7 @@ from viskill_deploy.train.calibration import Calibration, calibrate
 from viskill_deploy.train.chain_learning import Chained
 from viskill_deploy.train.evaluate import evaluate
 from viskill_deploy.train.lock import alone
+from viskill_deploy.train.paper import MAIN
 from viskill_deploy.train.results import (
     SCHEMA,
     Figures,
@@ -142,7 +143,7 @@ def learned(folder: Path) -> list[str]:
 def measured(
     unit: Unit, run: Run, policy: TaskPolicy, training: Training, measuring: Measuring
 ) -> Result:
-    """Success in every distribution of the task, and calibration of the value if there is one."""
+    """Success in every distribution of the task, and calibration of ViSkill's value."""
     seconds: dict[str, float] = {}
     scores: dict[str, Figures] = {}
     started = wall_time()
@@ -152,7 +153,7 @@ def measured(
         run.say(f"{distribution}: success {score.success_rate:.3f} of {score.episodes} episodes")
     seconds["evaluation"] = round(wall_time() - started, 2)
     calibration: Calibration | None = None
-    if isinstance(policy, Chained) and measuring.calibration_episodes:
+    if unit.method == MAIN and isinstance(policy, Chained) and measuring.calibration_episodes:
         started = wall_time()
         calibration = calibrate(run.trial, policy, measuring.calibration_episodes, unit.seed)
         run.say(f"calibration error {calibration.all.error}")

@@ -204,6 +204,19 @@ def test_a_keep_out_box_keeps_out_every_part_of_every_arm():
     assert jaw.radius == pytest.approx(0.0017 + 0.0102 * math.sin(opening / 2))
 
 
+@pytest.mark.parametrize("part", ["shaft", "wrist", "jaw"])
+@pytest.mark.parametrize("key", ["slow_m", "stop_m"])
+@pytest.mark.parametrize("factor", [0.99, 0.0, -1.0, math.nan])
+@pytest.mark.invariant("S14")
+def test_no_distance_from_a_keep_out_box_gets_looser(part, key, factor):
+    box = KeepOut(name="lamp", lower_m=(0.1, 0.1, 0.1), upper_m=(0.2, 0.2, 0.2))
+    wide = Clearance(slow_m=0.004, stop_m=0.002)
+    apart = GIVEN.apart | {f"{name}_keep_out": wide for name in ("shaft", "wrist", "jaw")}
+    near = wide.model_copy(update={key: factor * getattr(wide, key)})
+    cell = with_distances(apart=apart | {f"{part}_keep_out": near}, keep_out=(box,))
+    assert refused(cell) == f"distances.apart.{part}_keep_out.{key}"
+
+
 @pytest.mark.parametrize("axis", range(3))
 def test_a_keep_out_box_has_its_corners_in_order(axis):
     upper = [0.2, 0.2, 0.2]

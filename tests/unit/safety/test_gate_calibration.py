@@ -8,7 +8,11 @@ from gate_rig import CELL
 
 from viskill_deploy.core.types import Action
 from viskill_deploy.safety import ceilings
-from viskill_deploy.safety.calibration import calibration_margin, judge_calibration
+from viskill_deploy.safety.calibration import (
+    calibration_figures,
+    calibration_margin,
+    judge_calibration,
+)
 
 MADE = CREATED.timestamp()
 DAY = 86400.0
@@ -36,7 +40,8 @@ def test_s27_a_young_calibration_passes(age):
 @pytest.mark.parametrize("age", [30 * DAY + 1.0, -30 * DAY - 1.0, 365 * DAY, math.inf, math.nan])
 def test_s27_an_old_one_or_one_from_the_future_is_refused(age):
     (verdict,) = judge_calibration(calibration_of(CELL), MADE + age)
-    assert (verdict.rule, verdict.action, verdict.arm) == ("S27", Action.HOLD, -1)
+    told = verdict.rule, verdict.action, verdict.arm, verdict.joint
+    assert told == ("S27", Action.HOLD, -1, -1)
     assert verdict.limit == 30 * DAY
     assert math.isnan(verdict.value) if math.isnan(age) else verdict.value == abs(age)
 
@@ -59,6 +64,7 @@ def test_s27_the_margin_is_that_of_the_tightest_figure():
 @pytest.mark.parametrize("age", [365 * DAY, -365 * DAY, math.nan])
 def test_s27_that_of_simulated_arms_does_not_age_but_may_be_coarse(age):
     young = calibration_of(CELL, simulated=True)
+    assert calibration_figures(young, MADE + age)[0][0] == 0.0
     assert list(judge_calibration(young, MADE + age)) == []
     assert calibration_margin(young, MADE + age) == pytest.approx(0.6)
     coarse = with_residuals(0.0016, 0.0).model_copy(update={"simulated": True})

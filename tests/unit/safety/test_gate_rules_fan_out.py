@@ -1071,6 +1071,18 @@ def test_s24_holds_an_old_sample_against_what_was_sent_before_it(late, foreign):
     assert worst(words(made("S24"), cycle)) is (Action.FAULT if foreign else Action.PASS)
 
 
+def test_s24_still_knows_what_was_sent_last_after_a_long_time():
+    rig = Rig()
+    cycle = cycle_of(rig)
+    for k in range(200):
+        cycle.tracks[0].ask(rig.moved(0, 0, 0.02 * k)[0])
+        cycle.tracks[0].accept()
+        late = rig.moved(0, 0, 0.02 * max(k - 3, 0))[0]
+        rig.broken[0] = {"setpoint_jp": late.jp, "stamp_s": rig.now + k * PERIOD}
+        cycle.begin(rig.state(), Request(rig.stay()), rig.now + k * PERIOD)
+        assert worst(words(made("S24"), cycle)) is Action.PASS
+
+
 @pytest.mark.parametrize("rule_id", sorted(RULES))
 def test_a_rule_that_breaks_without_a_word_is_a_fault(rule_id):
     class Mute:
