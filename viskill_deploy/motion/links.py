@@ -24,6 +24,7 @@ class CellLinks:
 
     Attributes:
         arms: kinematics of every arm.
+        turns: which way each wrist's joints were sent last, (3,) an arm; never changed in place.
     """
 
     def __init__(self, cell: CellDescription) -> None:
@@ -31,7 +32,7 @@ class CellLinks:
         self._T_task_base = [entry.T_task_base for entry in cell.arms]
         self._T_base_task = [np.linalg.inv(T) for T in self._T_task_base]
         self._cables = [entry.cables for entry in cell.arms]
-        self._turns = [np.zeros(3) for _ in cell.arms]  # which way each wrist was sent last
+        self.turns = [np.zeros(3) for _ in cell.arms]
 
     def tips(self, joints: Sequence[Sequence[float]]) -> list[FloatArray]:
         """T_task_tip of every arm for its reported joints (n,), (4, 4) each."""
@@ -69,12 +70,12 @@ class CellLinks:
         if cables == STIFF:
             return q
         true = np.array(q)
-        true[WRIST] += cables.error(true, self._turns[arm])
+        true[WRIST] += cables.error(true, self.turns[arm])
         return true
 
     def _told(self, arm: int, q: FloatArray, motion: AxisMotion) -> list[float]:
         """What to command so that the joints come to `q`; remembers the way that it turns."""
         if self._cables[arm] != STIFF:
             told = np.array(motion.p[:-1])
-            q, self._turns[arm] = self._cables[arm].follow(q, told, self._turns[arm])
+            q, self.turns[arm] = self._cables[arm].follow(q, told, self.turns[arm])
         return list(map(float, q))

@@ -25,12 +25,18 @@ from viskill_deploy.runtime.attempts import Attempts
 from viskill_deploy.runtime.boundaries import Boundaries, Job, Stops, held_now
 from viskill_deploy.runtime.jaws import measure_empty_jaws
 from viskill_deploy.runtime.ledger import EpisodeResult, SkillResult
-from viskill_deploy.runtime.moves import axes_of, go_to_start_pose, run_motion
+from viskill_deploy.runtime.line import Coming
+from viskill_deploy.runtime.moves import arrive, axes_of, go_to_start_pose, run_motion
 from viskill_deploy.runtime.planning import Plan
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.runtime.stopping_places import may_go_on
 from viskill_deploy.runtime.thinking import decide
 from viskill_deploy.sim.tasks.base import Task
+
+LEAD_S = 0.02
+"""Against the clock the policy is asked so long before a step ends. It and the planner then think
+while the arms go on, and no control period has to wait for them. What they see is as old when the
+next step begins as it would be if the arms had waited."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,23 +79,27 @@ def _run_chain(
         gate has stepped in; the arms are at rest then, and `result` says for what.
     """
     waypoint = waypoint_at(session.cell, axes_of(session.read()))
-    boundaries = Boundaries(session, job, result)
+    boundaries, is_stepped = Boundaries(session, job, result), session.driver.capabilities.stepped
     while not chain.finished:
         try:
-            think = partial(_next_step, job, chain, _look(session, job.task), waypoint)
-            step = decide(session, think)
+            seen, coming = _look(session, job.task), session.line.coming()
+            step = decide(session, partial(_next_step, job, chain, seen, waypoint, coming))
             if step.choice.step == 0:
                 boundary = boundaries.before(step.choice.start)
                 if boundary is None or boundary.course != "go on":
                     return boundary
             if not _is_next(session, job, step, result):
                 return None
+            if not arrive(session):
+                session.come_to_rest(result)
+                return None
             waypoint = step.waypoint
-            _begin_step(session, job, step, result)
+            _begin_step(session, step, result, coming)
         except (ViskillError, ValueError) as error:
             # a policy or a measurement without sense: the gate brings the arms to rest
             session.line.fail(str(error))
-        if not run_motion(session):
+        is_stop = chain.between_skills or job.stops == "waypoint"
+        if not run_motion(session, 0.0 if is_stop or is_stepped else LEAD_S):
             session.come_to_rest(result)
             return None
         if chain.between_skills:
@@ -118,12 +128,16 @@ class _Step:
 
     choice: Choice
     waypoint: Waypoint
-    is_last: bool
-    ends_skill: bool
+    rests: bool
 
 
-def _next_step(job: Job, chain: SkillChain, seen: _Seen, last: Waypoint) -> _Step:
-    """Asks the policy and works out the waypoint that it wants; touches nothing of the session."""
+def _next_step(
+    job: Job, chain: SkillChain, seen: _Seen, last: Waypoint, coming: Coming | None
+) -> _Step:
+    """Asks the policy, and works out the waypoint that it wants and the segment that leads there.
+
+    Touches nothing of the session but `coming`, which is for it.
+    """
     choice = chain.act(seen.observation, seen.scene)
     wanted = apply_action(
         last,
@@ -135,7 +149,11 @@ def _next_step(job: Job, chain: SkillChain, seen: _Seen, last: Waypoint) -> _Ste
         choice.may_open_jaw,
     )
     waypoint = replace(wanted, observation=tuple(seen.observation.tolist()))
-    return _Step(choice, waypoint, chain.finished, chain.between_skills)
+    ends_skill = chain.between_skills
+    rests = chain.finished or job.stops == "waypoint" or (ends_skill and job.stops == "skill")
+    if coming:
+        coming.plan(waypoint, rests)
+    return _Step(choice, waypoint, rests)
 
 
 def _is_next(session: Session, job: Job, step: _Step, result: EpisodeResult) -> bool:
@@ -145,11 +163,12 @@ def _is_next(session: Session, job: Job, step: _Step, result: EpisodeResult) -> 
     return may_go_on(session, job, place, f"{choice.skill}, step {choice.step + 1}", result)
 
 
-def _begin_step(session: Session, job: Job, step: _Step, result: EpisodeResult) -> None:
+def _begin_step(
+    session: Session, step: _Step, result: EpisodeResult, coming: Coming | None
+) -> None:
     choice = step.choice
     skill = _note_step(session, result, choice.start, choice.step)
-    rests = step.is_last or job.stops == "waypoint" or (step.ends_skill and job.stops == "skill")
-    skill.stretch_max = max(skill.stretch_max, session.go_to(step.waypoint, last=rests))
+    skill.stretch_max = max(skill.stretch_max, session.go_to(step.waypoint, step.rests, coming))
 
 
 def _note_step(

@@ -7,8 +7,10 @@ remote centre at the registered port. While no limit is active the QP returns th
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -51,6 +53,9 @@ speed this adds 7 rad/s³ to a joint, a twentieth of what the gate allows."""
 PHASE_TOLERANCE = 1e-6
 """Seconds by which a sum of control periods may miss the end of a motion: rounding."""
 
+ROUNDING = 1e-9
+"""Rad, m, and per s and s², by which two states may differ and be the same."""
+
 LEAST = 1e-9
 """Damping of a PSM's QP, whose task leaves nothing open."""
 
@@ -72,6 +77,34 @@ class Motion(Protocol):
     def at(self, t: float) -> tuple[AxisMotion, ...]:
         """State of every arm `t` seconds after its start."""
         ...
+
+
+@dataclass
+class Coming:
+    """The segment after the present one, for another thread to plan while the line goes on.
+
+    Attributes:
+        start: where the present segment ends.
+        segment: from there on, once it is planned.
+    """
+
+    start: tuple[AxisMotion, ...]
+    links: CellLinks
+    planner: SegmentPlanner
+    segment: Segment | None = None
+
+    def plan(self, waypoint: Waypoint, last: bool) -> Segment:
+        """The segment to a waypoint, at rest there if it is the last.
+
+        Raises:
+            KinematicsError, MotionError: there is none.
+        """
+        target = self.links.targets(waypoint, self.start)
+        rest = [[0.0] * len(row) for row in target]
+        passing = passing_velocity(self.start, np.array(target), waypoint.step_s)
+        end = rest if last else passing
+        self.segment = self.planner.plan(self.start, target, end, waypoint.step_s)
+        return self.segment
 
 
 class Line:
@@ -98,6 +131,7 @@ class Line:
         self._planner = SegmentPlanner(cell, period_s)
         self.links = CellLinks(cell)
         self._arms: Sequence[Arm] = self.links.arms
+        self._has_remote_centres = all(entry.arm.has_remote_centre for entry in cell.arms)
         self._bases = [entry.T_task_base[:3].tolist() for entry in cell.arms]
         self._iks = [
             IkSolver.for_arm(arm, port=_port(entry), solver=ik_solver, damping=_damping(arm))
@@ -128,7 +162,27 @@ class Line:
             return False
         return self._motion is None or self._phase >= self._motion.duration_s - PHASE_TOLERANCE
 
-    def go_to(self, waypoint: Waypoint, last: bool = False) -> float:
+    @property
+    def remaining_s(self) -> float:
+        """Time until the present motion is over, at the present rate."""
+        if self._fault:
+            return math.inf
+        if self._motion is None:
+            return 0.0
+        return max(self._motion.duration_s - self._phase, 0.0) / self.rate
+
+    def coming(self) -> Coming | None:
+        """For planning ahead: where the next segment starts; None when that is not known."""
+        if self._motion is None or self.arrived or not self._has_remote_centres:
+            return None
+        return self._coming(self._motion.at(self._motion.duration_s))
+
+    def _coming(self, start: tuple[AxisMotion, ...]) -> Coming:
+        links = copy.copy(self.links)  # its turns become the line's when the segment is begun
+        links.turns = list(links.turns)
+        return Coming(start, links, self._planner)
+
+    def go_to(self, waypoint: Waypoint, last: bool = False, coming: Coming | None = None) -> float:
         """Begins the segment to a waypoint; returns its stretch.
 
         A waypoint that cannot be reached leaves the line without setpoints, which the gate
@@ -137,22 +191,23 @@ class Line:
         Args:
             waypoint: where the tips shall be.
             last: the motion ends at rest there.
+            coming: the same segment, planned ahead; it counts where the line is at its start.
         """
-        start = self._present()
-        if not all(entry.arm.has_remote_centre for entry in self.cell.arms):
+        if not self._has_remote_centres:
             self.fail(
                 "going from waypoint to waypoint needs a remote centre by mechanism; make a plan "
                 "of the whole path"
             )
             return 1.0
+        start = self._present()
+        if coming is None or not _are_same(coming.start, start):
+            coming = self._coming(start)
         try:
-            target = self.links.targets(waypoint, start)
-            rest = [[0.0] * len(row) for row in target]
-            end = rest if last else passing_velocity(start, np.array(target), waypoint.step_s)
-            segment = self._planner.plan(start, target, end, waypoint.step_s)
+            segment = coming.segment or coming.plan(waypoint, last)
         except (ViskillError, ValueError) as error:
             self.fail(str(error))
             return 1.0
+        self.links.turns = coming.links.turns
         self.follow(segment)
         return segment.stretch
 
@@ -305,6 +360,15 @@ class Line:
             else:
                 motions.append(motion)
         return tuple(motions)
+
+
+def _are_same(one: tuple[AxisMotion, ...], other: tuple[AxisMotion, ...]) -> bool:
+    """Whether two states of all arms are the same but for rounding."""
+    return all(
+        abs(x - y) <= ROUNDING
+        for a, b in zip(one, other, strict=True)
+        for x, y in zip((*a.p, *a.v, *a.a), (*b.p, *b.v, *b.a), strict=True)
+    )
 
 
 def _in_task(base: list[list[float]], T_base_tip: pin.SE3) -> Joints:

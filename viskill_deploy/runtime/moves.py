@@ -22,13 +22,18 @@ def axes_of(state: CellState) -> FloatArray:
     return np.array([(*arm.setpoint_jp, arm.jaw_setpoint_jp) for arm in state.arms])
 
 
-def run_motion(session: Session) -> bool:
-    """Cycles until the motion is over."""
+def run_motion(session: Session, lead_s: float = 0.0) -> bool:
+    """Cycles until the motion is over, or will be in `lead_s`."""
     while True:
         if not session.cycle():
             return False
-        if session.line.arrived:
+        if session.line.arrived or session.line.remaining_s <= lead_s:
             return True
+
+
+def arrive(session: Session) -> bool:
+    """Cycles until a motion is over that may be so already."""
+    return session.line.arrived or run_motion(session)
 
 
 def halt(session: Session) -> bool:

@@ -26,7 +26,7 @@ from viskill_deploy.drivers.watch import OwnTime
 from viskill_deploy.runtime.consent import Consent, consent_of
 from viskill_deploy.runtime.delivery import Delivery
 from viskill_deploy.runtime.ledger import EpisodeResult, Ledger
-from viskill_deploy.runtime.line import Line
+from viskill_deploy.runtime.line import Coming, Line
 from viskill_deploy.runtime.planning import Plan
 from viskill_deploy.runtime.poses import Things
 from viskill_deploy.runtime.record import Recorder
@@ -228,10 +228,10 @@ class Session:
             self.go_on()
         return state
 
-    def go_to(self, waypoint: Waypoint, last: bool = False) -> float:
+    def go_to(self, waypoint: Waypoint, last: bool = False, coming: Coming | None = None) -> float:
         """Begins the motion to a waypoint; returns its stretch."""
         self._waypoint = waypoint
-        return self.line.go_to(waypoint, last)
+        return self.line.go_to(waypoint, last, coming)
 
     def allow(self, waypoint: Waypoint | None) -> None:
         """Says which waypoint a motion that goes on by itself is at, for the jaw rule."""
