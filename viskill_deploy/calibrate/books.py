@@ -41,7 +41,11 @@ class Book:
             self._file.write(title + measurements.header())
 
     def write(self, pose: int, is_moving: bool, row: Measurements | None) -> None:
-        """Writes a row to the disk; a comment once a pose is done, seen or not."""
+        """Writes a row; a comment once a pose is done, seen or not.
+
+        The system has it from then on, whatever becomes of this process. The disk gets it when the
+        file is closed: the arms are on their way, and a disk may take longer than a control period.
+        """
         if row is not None:
             self._file.write(measurements.line(row, 0))
         if not is_moving:
@@ -49,10 +53,11 @@ class Book:
             self.unseen = 0 if row is not None else self.unseen + 1
             self._file.write(f"# pose {pose} done\n")
             self._file.flush()
-            os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Closes the file."""
+        """Closes the file, once it is on the disk."""
+        self._file.flush()
+        os.fsync(self._file.fileno())
         self._file.close()
 
 

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from gate_rig import PERIOD
 
@@ -11,7 +12,7 @@ from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import DataFileError
 from viskill_deploy.core.robot_files import validated
 from viskill_deploy.safety import ceilings
-from viskill_deploy.safety.clearances import clearances, standing
+from viskill_deploy.safety.clearances import Apart, clearances, standing
 from viskill_deploy.safety.envelope import CellEnvelope
 
 CELLS = ["bipegtransfer", "bipegboard", "matchboardpanel"]
@@ -50,6 +51,43 @@ def test_a_cell_holds_apart_what_its_file_names(name):
         assert 0 <= arm < len(cell.arms)
         assert other == -1 or arm != other
         assert apart.radius > 0.0
+
+
+def sampled_gap(apart: Apart, ports: np.ndarray, points: np.ndarray) -> float:
+    """The distance of two surfaces from 400 points of each core line, and no code of the gate's."""
+
+    def core(arm: int, part: int) -> np.ndarray:
+        tip, jaw_end, wrist, shaft_end = points[arm]
+        ends = {0: (ports[arm], shaft_end), 1: (wrist, tip), 2: (tip, jaw_end)}[part]
+        return np.array(ends)
+
+    def along(ends: np.ndarray) -> np.ndarray:
+        return ends[0] + np.linspace(0.0, 1.0, 400)[:, None] * (ends[1] - ends[0])
+
+    own = core(apart.arms[0], apart.parts[0])
+    length = np.linalg.norm(own[1] - own[0])
+    own[1] += (own[0] - own[1]) * min(apart.spare / length, 1.0)
+    line = along(own)
+    if apart.pair.split("_", 1)[1] in ("shaft", "wrist", "jaw"):
+        away = line[:, None] - along(core(apart.arms[1], apart.parts[1]))[None]
+    else:
+        away = line - np.clip(line, *np.array(apart.box))
+    return float(np.linalg.norm(away, axis=-1).min()) - apart.radius
+
+
+@pytest.mark.parametrize("name", CELLS)
+@pytest.mark.invariant("S14")
+def test_the_distance_of_every_pair_is_that_of_its_surfaces(name):
+    rng, cell = np.random.default_rng(0), load_cell(name)
+    found = clearances(cell)
+    for _ in range(20):
+        ports = rng.uniform(-0.02, 0.02, (len(cell.arms), 3))
+        ports += np.array((0.0, 0.0, 0.1))
+        points = rng.uniform(-0.05, 0.05, (len(cell.arms), 4, 3))
+        own = [[tuple(point) for point in arm] for arm in points.tolist()]
+        for apart in found:
+            gap = apart.gap(tuple(map(tuple, ports.tolist())), own)
+            assert gap == pytest.approx(sampled_gap(apart, ports, points), abs=3e-4)
 
 
 @pytest.mark.parametrize(
@@ -116,7 +154,22 @@ def test_no_distance_gets_looser_or_nonsense(pair, key, factor):
     if key == "stop_m" and factor == 1000.0:
         factor = 100.0
     value = getattr(GIVEN.apart[pair], key) * factor
-    assert refused(with_pair(pair, **{key: value})) == f"distances.apart.{pair}.{key}"
+    with pytest.raises(DataFileError) as error:
+        CellEnvelope.of(with_pair(pair, **{key: value}), PERIOD)
+    assert error.value.key == f"distances.apart.{pair}.{key}"
+    assert error.value.path == CELL.files[0]
+
+
+def test_things_that_may_touch_may_be_held_apart_by_any_distance_but_none():
+    contact = tuple(name for name in GIVEN.contact if name != "jaw_jaw")
+
+    def held_apart(slow: float, stop: float) -> CellDescription:
+        apart = GIVEN.apart | {"jaw_jaw": Clearance.model_construct(slow_m=slow, stop_m=stop)}
+        return with_distances(apart=apart, contact=contact)
+
+    assert CellEnvelope.of(held_apart(2e-320, 1e-320), PERIOD)
+    assert refused(held_apart(0.0, 0.0)) == "distances.apart.jaw_jaw.slow_m"
+    assert refused(held_apart(1e-320, 0.0)) == "distances.apart.jaw_jaw.stop_m"
 
 
 @pytest.mark.parametrize("pair", sorted(GIVEN.apart))
@@ -215,6 +268,12 @@ def test_no_distance_from_a_keep_out_box_gets_looser(part, key, factor):
     near = wide.model_copy(update={key: factor * getattr(wide, key)})
     cell = with_distances(apart=apart | {f"{part}_keep_out": near}, keep_out=(box,))
     assert refused(cell) == f"distances.apart.{part}_keep_out.{key}"
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
+def test_no_bound_is_wide_enough_for_what_is_no_number(value):
+    with pytest.raises(DataFileError):
+        ceilings.check(CELL.files[0], "key", value, -math.inf, math.inf)
 
 
 @pytest.mark.parametrize("axis", range(3))
