@@ -13,12 +13,14 @@ import math
 import pkgutil
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
 import viskill_deploy.safety
 from viskill_deploy.core import data
 from viskill_deploy.core.description import load_cell
+from viskill_deploy.safety import ceilings, envelope
 from viskill_deploy.safety.envelope import CellEnvelope
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden/gate_numbers.json"
@@ -61,6 +63,19 @@ def constants() -> dict[str, Any]:
     return plain(found)
 
 
+def checks(name: str) -> list[str]:
+    """Every value of a shipped cell that is held against bounds: file, key, value and bounds."""
+    found, check = list[str](), ceilings.check
+
+    def noted(path: Path, key: str, *numbers: float) -> None:
+        found.append(" ".join([path.name, key, *map(plain, map(float, numbers))]))
+        check(path, key, *numbers)
+
+    with mock.patch.object(envelope, "check", noted), mock.patch.object(ceilings, "check", noted):
+        CellEnvelope.of(load_cell(name), PERIOD)
+    return found
+
+
 def _is_numbers(value: Any) -> bool:
     if isinstance(value, tuple):
         return bool(value) and all(map(_is_numbers, value))
@@ -72,7 +87,11 @@ def _is_numbers(value: Any) -> bool:
 def collect() -> dict[str, Any]:
     """All of it."""
     cells = data.names("robots/cells")
-    return {"constants": constants(), "cells": {cell: thresholds(cell) for cell in cells}}
+    return {
+        "constants": constants(),
+        "cells": {cell: thresholds(cell) for cell in cells},
+        "checks": {cell: checks(cell) for cell in cells},
+    }
 
 
 def golden() -> dict[str, Any]:

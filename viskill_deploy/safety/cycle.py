@@ -45,11 +45,11 @@ class Cycle:
             ArmTrack(index, arm, envelope.period) for index, arm in enumerate(envelope.arms)
         )
         self.now = self.given_now = -math.inf
-        self.dt = envelope.period
+        self.dt: float
         self.is_first, self.is_stopping = True, False
         self.reports: tuple[Verdict, ...] = ()
         self.stopped_before: frozenset[str] = frozenset()
-        self.request = Request(setpoints=None)
+        self.request: Request
         self.state: CellState
 
     def begin(self, state: CellState, request: Request, now: float) -> None:
@@ -59,5 +59,5 @@ class Cycle:
             self.dt = self.envelope.period
         elif now >= self.now:
             self.dt = now - self.now
-        if now > self.now and math.isfinite(now):
-            self.now = now
+        if math.isfinite(now):
+            self.now = max(self.now, now)

@@ -6,9 +6,9 @@ from math import dist, sqrt
 
 from viskill_deploy.safety.geometry import Point
 
-NO_LENGTH, PARALLEL = 1e-18, 1e-15
-"""Squares: a segment shorter than a nanometre is a point, two directions with a smaller sine are
-parallel."""
+LEAST = 1e-300
+"""Instead of a division by zero, where any result in [0, 1] will do: on a segment that is a point,
+between segments that are parallel."""
 
 
 def between_segments(a: Point, b: Point, c: Point, d: Point) -> float:
@@ -26,9 +26,9 @@ def between_segments(a: Point, b: Point, c: Point, d: Point) -> float:
     uv = ux * vx + uy * vy + uz * vz
     uw, vw = ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
     area = uu * vv - uv * uv
-    s = _in_unit((uv * vw - uw * vv) / area) if area > PARALLEL * uu * vv else 0.0
-    t = _in_unit((uv * s + vw) / vv) if vv > NO_LENGTH else 0.0
-    s = _in_unit((uv * t - uw) / uu) if uu > NO_LENGTH else 0.0
+    s = _in_unit((uv * vw - uw * vv) / max(area, LEAST))
+    t = _in_unit((uv * s + vw) / max(vv, LEAST))
+    s = _in_unit((uv * t - uw) / max(uu, LEAST))
     x, y, z = wx + s * ux - t * vx, wy + s * uy - t * vy, wz + s * uz - t * vz
     return sqrt(x * x + y * y + z * z)
 
@@ -45,7 +45,7 @@ def segment_to_box(a: Point, b: Point, lower: Point, upper: Point) -> float:
     before, slope_before = 0.0, _slope(axes, 0.0)
     place = 0.0
     if slope_before < 0.0:
-        for t in (*sorted([t for t in crossings if 0.0 < t < 1.0]), 1.0):
+        for t in sorted({1.0, *map(_in_unit, crossings)}):
             place, slope = t, _slope(axes, t)
             if slope >= 0.0:
                 place -= (t - before) * slope / (slope - slope_before)
@@ -56,8 +56,7 @@ def segment_to_box(a: Point, b: Point, lower: Point, upper: Point) -> float:
 
 def shortened(a: Point, b: Point, by: float) -> Point:
     """The point of the segment a-b that lies `by` before its end b; a itself when it is shorter."""
-    length = dist(a, b)
-    part = min(by / length, 1.0) if length > 0.0 else 1.0
+    part = min(by / max(dist(a, b), LEAST), 1.0)
     return (b[0] + part * (a[0] - b[0]), b[1] + part * (a[1] - b[1]), b[2] + part * (a[2] - b[2]))
 
 
@@ -68,8 +67,9 @@ def _slope(axes: list[tuple[float, float, float, float]], t: float) -> float:
 
 def _outside(x: float, low: float, high: float) -> float:
     """How far a coordinate is beyond its range, with a sign."""
-    return x - low if x < low else x - high if x > high else 0.0
+    below, above = x - low, x - high
+    return 0.5 * ((below - abs(below)) + (above + abs(above)))
 
 
 def _in_unit(x: float) -> float:
-    return 0.0 if x < 0.0 else 1.0 if x > 1.0 else x
+    return min(max(x, 0.0), 1.0)

@@ -53,6 +53,21 @@ def test_a_cell_holds_apart_what_its_file_names(name):
         assert apart.radius > 0.0
 
 
+@pytest.mark.parametrize(
+    ("opening", "widest"), [(-0.2, 0.0), (0.5, 0.5), (math.pi, math.pi), (4.0, math.pi)]
+)
+def test_a_jaw_is_as_thick_as_it_can_open(opening, widest):
+    first = CELL.arms[0]
+    jaw = first.arm.jaw.model_copy(update={"upper_rad": opening})
+    arms = (replace(first, arm=replace(first.arm, jaw=jaw)), CELL.arms[1])
+    box = KeepOut(name="lamp", lower_m=(0.1, 0.1, 0.1), upper_m=(0.2, 0.2, 0.2))
+    wide = Clearance(slow_m=0.004, stop_m=0.002)
+    apart = GIVEN.apart | {f"{part}_keep_out": wide for part in ("shaft", "wrist", "jaw")}
+    found = clearances(with_distances(replace(CELL, arms=arms), apart=apart, keep_out=(box,)))
+    (radius,) = {a.radius for a in found if a.pair == "jaw_keep_out" and a.arms[0] == 0}
+    assert radius == pytest.approx(0.0017 + 0.0102 * math.sin(widest / 2))
+
+
 def sampled_gap(apart: Apart, ports: np.ndarray, points: np.ndarray) -> float:
     """The distance of two surfaces from 400 points of each core line, and no code of the gate's."""
 

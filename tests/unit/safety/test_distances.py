@@ -92,6 +92,8 @@ def test_distances_between_segments_known_by_hand(segments, expected):
         (((2.0, 0.0, 0.0), (0.0, 2.0, 0.0)), 0.0),  # touches an edge
         (((3.0, 0.0, 2.0), (0.0, 3.0, 2.0)), math.sqrt(1.5)),  # past an edge
         (((-1.0, 2.0, 2.0), (-2.0, 3.0, 4.0)), math.sqrt(3.0)),  # from a corner away
+        (((1.5, 0.5, 0.5), (1.02, 0.5, 0.5)), 0.02),  # ends shortly before a face
+        (((1.0, 2.0, 0.5), (0.5, 1.5, 0.5)), 0.5),  # starts over an edge, on a face's plane
     ],
 )
 def test_distances_to_a_unit_box_known_by_hand(segment, expected):
@@ -103,3 +105,6 @@ def test_a_segment_is_shortened_at_its_end():
     assert shortened(ZERO, X, 0.0) == X
     assert shortened(ZERO, X, 2.0) == ZERO
     assert shortened(X, X, 0.1) == X
+    assert shortened(X, X, 0.0) == X
+    there = shortened((1.0, 2.0, 3.0), (4.0, 6.0, 15.0), 3.25)
+    assert there == pytest.approx((3.25, 5.0, 12.0), abs=1e-12)

@@ -116,6 +116,12 @@ def test_lower_and_upper_bounds_that_were_swapped_are_refused_or_seen(
     assert pairs
 
 
+@pytest.mark.parametrize("cell", sorted(GOLDEN["checks"]))
+@pytest.mark.invariant("S31")
+def test_every_value_of_a_file_is_held_against_the_bounds_that_were_agreed_on(cell):
+    assert gate_numbers.checks(cell) == GOLDEN["checks"][cell], gate_numbers.__doc__
+
+
 def test_the_files_as_they_are_give_the_golden_thresholds():
     assert gate_numbers.collect()["cells"] == GOLDEN["cells"], gate_numbers.__doc__
 

@@ -321,16 +321,23 @@ def test_a_port_far_from_the_base_is_this_arms_own_and_no_farther_than_it_reache
         CellEnvelope.of(replace(CELL, arms=(replace(ARM, entry=entry),)), PERIOD)
 
 
-def test_a_joint_that_slides_has_limits_and_levers_of_its_own():
+@pytest.mark.parametrize(
+    ("a", "d", "offset", "lower", "upper", "far"),
+    [
+        (0.0, 0.1, 0.05, -0.3, 0.4, 0.1 + 0.05 + 0.4),
+        (-0.02, -0.1, -0.05, -0.06, 0.04, 0.02 + 0.1 + 0.05 + 0.06),
+    ],
+)
+def test_a_joint_that_slides_has_limits_and_levers_of_its_own(a, d, offset, lower, upper, far):
     slider = PrismaticJoint(
-        name="rail", type="prismatic", alpha_rad=0.0, a_m=0.0, theta_rad=0.0, d_m=0.1,
-        offset_m=0.05, lower_m=-0.3, upper_m=0.4, max_velocity_m_s=0.1, max_acceleration_m_s2=0.5,
+        name="rail", type="prismatic", alpha_rad=0.0, a_m=a, theta_rad=0.0, d_m=d, offset_m=offset,
+        lower_m=lower, upper_m=upper, max_velocity_m_s=0.1, max_acceleration_m_s2=0.5,
         max_jerk_m_s3=10.0,
     )  # fmt: skip
     arm = CellEnvelope.of(changed(joints=(ARM.arm.joints[0], slider, *ARM.arm.joints[1:])), PERIOD)
     (limits,) = arm.arms
     assert limits.slides == (False, True, *(False,) * 6)
     assert limits.levers[1] == 1.0
-    # the rail's height, its zero's offset and its travel, all behind the first joint
-    assert limits.levers[0] == pytest.approx(LIMITS.levers[0] + 0.1 + 0.05 + 0.4)
+    # the rail's sides, its zero's offset and its travel, all behind the first joint
+    assert limits.levers[0] == pytest.approx(LIMITS.levers[0] + far)
     assert (limits.margin[1], limits.tracking[1]) == (0.001, 0.003)
