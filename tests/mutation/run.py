@@ -242,7 +242,9 @@ def main() -> int:
         cases, key = chosen(options), fingerprint() + "-quick" * options.quick
         is_everything = not (options.seeded or options.only or options.sample)
         done = {row["id"] for row in read_results() if row["key"] == key}
+        killed = {row["id"] for row in read_results() if row["status"] in KILLED}
         left = [case for case in cases if case.mutant.id not in done]
+        left.sort(key=lambda case: case.mutant.id in killed)  # what is not sure to be found, first
         if left:
             serve(lambda server: work(server, left, key, options))
         if fingerprint() != key.removesuffix("-quick"):

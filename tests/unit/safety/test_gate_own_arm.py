@@ -270,6 +270,14 @@ def changed(**updates: object) -> CellDescription:
     return replace(CELL, arms=(replace(ARM, arm=replace(ARM.arm, **updates)),))
 
 
+def slider(a=0.0, d=0.0, offset=0.0, lower=-0.06, upper=0.04) -> PrismaticJoint:
+    return PrismaticJoint(
+        name="rail", type="prismatic", alpha_rad=0.0, a_m=a, theta_rad=0.0, d_m=d, offset_m=offset,
+        lower_m=lower, upper_m=upper, max_velocity_m_s=0.1, max_acceleration_m_s2=0.5,
+        max_jerk_m_s3=10.0,
+    )  # fmt: skip
+
+
 def with_joint(**updates: object) -> CellDescription:
     joints = (
         *ARM.arm.joints[:3],
@@ -314,6 +322,25 @@ def test_looser_numbers_than_the_ceilings_of_an_own_arm_are_refused(cell, key):
         CellEnvelope.of(cell, PERIOD)
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("lower_m", -1.01, "rail.lower"),
+        ("upper_m", 1.01, "rail.upper"),
+        ("upper_m", -0.0585, "rail range less margins"),
+        ("max_velocity_m_s", 0.21, "rail.max_velocity"),
+        ("max_acceleration_m_s2", 1.01, "rail.max_acceleration"),
+        ("max_jerk_m_s3", 20.1, "rail.max_jerk"),
+    ],
+)
+@pytest.mark.invariant("S31")
+def test_no_limit_of_a_joint_that_slides_gets_looser(key, value, said):
+    joints = (ARM.arm.joints[0], slider().model_copy(update={key: value}), *ARM.arm.joints[1:])
+    with pytest.raises(DataFileError) as error:
+        CellEnvelope.of(changed(joints=joints), PERIOD)
+    assert error.value.key == said
+
+
 def test_a_port_far_from_the_base_is_this_arms_own_and_no_farther_than_it_reaches():
     assert LIMITS.port == pytest.approx((0.0, 0.0, 0.17))
     entry = ARM.entry.model_copy(update={"port_in_base_m": (2.1, 0.0, 0.17)})
@@ -329,12 +356,8 @@ def test_a_port_far_from_the_base_is_this_arms_own_and_no_farther_than_it_reache
     ],
 )
 def test_a_joint_that_slides_has_limits_and_levers_of_its_own(a, d, offset, lower, upper, far):
-    slider = PrismaticJoint(
-        name="rail", type="prismatic", alpha_rad=0.0, a_m=a, theta_rad=0.0, d_m=d, offset_m=offset,
-        lower_m=lower, upper_m=upper, max_velocity_m_s=0.1, max_acceleration_m_s2=0.5,
-        max_jerk_m_s3=10.0,
-    )  # fmt: skip
-    arm = CellEnvelope.of(changed(joints=(ARM.arm.joints[0], slider, *ARM.arm.joints[1:])), PERIOD)
+    rail = slider(a, d, offset, lower, upper)
+    arm = CellEnvelope.of(changed(joints=(ARM.arm.joints[0], rail, *ARM.arm.joints[1:])), PERIOD)
     (limits,) = arm.arms
     assert limits.slides == (False, True, *(False,) * 6)
     assert limits.levers[1] == 1.0
