@@ -47,6 +47,9 @@ WALL_FACTOR = 40.0
 CONSTANTS = "test_gate_numbers.py::test_a_number_in_the_code"
 """What holds the numbers that stand in the code under a name."""
 
+TRACE = "test_gate_trace.py::"
+"""What holds everything that the gate says on a few walks: cheap, and likely to notice."""
+
 CANARY = "safety/supervisor.py", "broken = self._ask(self._on_nothing)", "broken = []"
 
 
@@ -140,7 +143,8 @@ class Server:
             reach = set(self.items)
             hints = [*hints, *(t for t in reach if CONSTANTS in t)]
         recent = list(dict.fromkeys(reversed(self.killers[mutant.function])))[:8]
-        first = [t for t in (*hints, *recent) if t in reach]
+        traces = [t for t in self.items if TRACE in t]
+        first = [t for t in (*hints, *recent, *traces) if t in reach]
         return list(dict.fromkeys((*first, *_spread(sorted(reach), self.baseline.cost))))
 
     def try_mutant(

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import gate_trace
 import numpy as np
 
 import viskill_deploy.safety
@@ -101,4 +102,5 @@ def golden() -> dict[str, Any]:
 
 if __name__ == "__main__":
     GOLDEN.write_text(json.dumps(collect(), indent=1, sort_keys=True) + "\n", encoding="utf-8")
-    print(f"wrote {GOLDEN.name}")
+    gate_trace.write()
+    print(f"wrote {GOLDEN.name} and {gate_trace.GOLDEN.name}")

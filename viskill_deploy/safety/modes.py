@@ -62,9 +62,9 @@ class Modes:
 
     def escalate(self, action: Action) -> None:
         """Latches HOLD or worse; what is latched never gets milder here."""
-        if action >= Action.HOLD and action > self.latched:
-            self.latched = action
-            self.mode = LATCHED_MODE[action]
+        worst = max(action, self.latched)
+        if worst >= Action.HOLD:
+            self.latched, self.mode = worst, LATCHED_MODE[worst]
 
     def arm(self) -> None:
         """READY → ARMED; the supervisor has seen every pre-check green."""
