@@ -80,7 +80,7 @@ soak: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/python tests/soak/run.py
 	@echo "make soak: nothing went out that was neither the request nor a stop inside the limits."
 
-# tests/golden/gate_numbers.json: every threshold of the gate, after one was changed on purpose.
+# tests/golden: thresholds, bounds and traces of the gate, after one was changed on purpose.
 numbers: $(VENV)/.dev
 	$(BIN)/python tests/support/gate_numbers.py
 
