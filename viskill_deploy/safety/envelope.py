@@ -251,15 +251,15 @@ def _check_jaw(path: Path, arm: ArmDescription) -> None:
     check(path, "jaw.lower", jaw.lower_rad, low, high)
     check(path, "jaw.upper", jaw.upper_rad, low, high)
     rates = (jaw.max_velocity_rad_s, jaw.max_acceleration_rad_s2, jaw.max_jerk_rad_s3)
-    most = (ceilings.MAX_SPEED[-1], ceilings.MAX_ACCELERATION[-1], ceilings.MAX_JERK[-1])
-    for key, rate, ceiling in zip(RATES, rates, most, strict=True):
+    most = (ceilings.MAX_SPEED, ceilings.MAX_ACCELERATION, ceilings.MAX_JERK)
+    for key, rate, (*_, ceiling) in zip(RATES, rates, most, strict=True):
         _positive(path, f"jaw.{key}", rate, ceiling)
 
 
 def _check_joints(arm: ArmDescription) -> None:
     """Joint limits against the ceilings of their place in the chain."""
     robot, tool = arm.files[0], arm.files[-1]
-    is_si = abs(arm.joints[2].offset - ceilings.SI_SHAFT_OFFSET_M) < 1e-6
+    is_si = math.isclose(arm.joints[2].offset, ceilings.SI_SHAFT_OFFSET_M, abs_tol=1e-6)
     ranges = (*(ceilings.SI_RANGE if is_si else ceilings.CLASSIC_RANGE), *ceilings.TOOL_RANGE)
     jaw = arm.jaw
     named = [(joint.name, joint.limits) for joint in arm.joints]

@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -160,6 +161,37 @@ def test_stricter_values_are_accepted():
 
 def test_a_classic_arm_does_not_get_the_range_of_an_si():
     assert refused(with_joint(0, "upper_rad", 2.9)) == "yaw.upper"
+
+
+@pytest.mark.parametrize(("off", "is_si"), [(0.0, True), (9e-7, True), (1.02e-6, False)])
+def test_a_shaft_is_that_of_an_si_within_a_micrometre(off, is_si):
+    arm = load_robot("psm_si", next(n for n in data.names("robots/tools") if "_42" in n))
+    shaft = arm.joints[2].model_copy(update={"offset_m": arm.joints[2].offset_m + off})
+    changed = replace(arm, joints=(*arm.joints[:2], shaft, *arm.joints[3:]))
+    cell = replace(CELL, arms=(replace(CELL.arms[0], arm=changed),))
+    if is_si:
+        assert CellEnvelope.of(cell, 0.004)
+    else:
+        assert refused(cell).endswith((".lower", ".upper"))
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value", "file"),
+    [
+        ("jaw", "upper_rad", 9.0, 2),
+        ("jaw", "finger_length_m", 9.0, 2),
+        ("shape", "jaw_radius_m", 9.0, 2),
+        ("gate", "tracking_s", 9.0, 0),
+    ],
+)
+def test_a_refusal_names_the_file_that_the_value_stands_in(table, key, value, file):
+    cell = with_table(table, key, value)
+    files = tuple(Path(name) for name in ("robot.toml", "between.toml", "tool.toml"))
+    first = cell.arms[0]
+    cell = replace(cell, arms=(replace(first, arm=replace(first.arm, files=files)),))
+    with pytest.raises(DataFileError) as error:
+        CellEnvelope.of(cell, 0.004)
+    assert error.value.path == files[file]
 
 
 @pytest.mark.parametrize("period", [0.0, -0.004, 0.0009, 0.011, *NONSENSE])
