@@ -338,7 +338,8 @@ def _check_workspace(path: Path, cell_arm: CellArm) -> None:
         offset = ceilings.MAX_PORT_OFFSET_M if is_psm else ceilings.OWN_PORT_M
         check(path, f"arm.{cell_arm.name}.port_in_base_m", value, -offset, offset)
     T = cell_arm.T_task_base
-    if T.shape != (4, 4) or not abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() < 1e-9:
+    R = T[:3, :3]
+    if T.shape != (4, 4) or not np.allclose(R @ R.T, np.eye(3), rtol=0.0, atol=1e-9):
         raise DataFileError(
             path, f"arm.{cell_arm.name}", "its base pose is no rigid transform; correct it"
         )

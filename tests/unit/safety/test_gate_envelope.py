@@ -216,6 +216,25 @@ def test_a_base_that_is_no_rigid_transform_is_refused():
     assert refused(replace(CELL, arms=(replace(first, T_task_base=far),))).endswith("position_m")
 
 
+@pytest.mark.parametrize(("off", "is_rigid"), [(0.49e-9, True), (0.51e-9, False)])
+def test_a_base_is_rigid_to_a_billionth(off, is_rigid):
+    first, pose = CELL.arms[0], CELL.arms[0].T_task_base.copy()
+    pose[:3, :3] = np.eye(3) * (1.0 + off)
+    cell = replace(CELL, arms=(replace(first, T_task_base=pose),))
+    if is_rigid:
+        assert CellEnvelope.of(cell, 0.004)
+    else:
+        with pytest.raises(DataFileError, match="rigid"):
+            CellEnvelope.of(cell, 0.004)
+
+
+def test_a_base_without_its_last_row_is_refused():
+    first = CELL.arms[0]
+    cell = replace(CELL, arms=(replace(first, T_task_base=first.T_task_base[:3]),))
+    with pytest.raises(DataFileError, match="rigid"):
+        CellEnvelope.of(cell, 0.004)
+
+
 def test_a_cell_without_arms_is_refused():
     with pytest.raises(DataFileError, match="no arm"):
         Supervisor(replace(CELL, arms=()), 0.004)
