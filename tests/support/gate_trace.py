@@ -10,13 +10,16 @@ import math
 import random
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tests.soak.run import Chunk, Walk
-from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.types import Action, CellState, JointSetpoint, Request
 from viskill_deploy.safety.decision import Decision
 from viskill_deploy.safety.envelope import ArmEnvelope, CellEnvelope
@@ -26,7 +29,14 @@ from viskill_deploy.safety.track import ArmTrack
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden/gate_trace.txt"
 SEEDS, STEPS = range(6), 400
-CELLS = ("bipegtransfer", "bipegboard", "matchboardpanel", "bodytrainer")
+CELLS = (
+    "bipegtransfer",
+    "bipegboard",
+    "matchboardpanel",
+    "bodytrainer",
+    "bipegtransfer, stricter",
+    "bodytrainer, stricter",
+)
 PERIOD = 0.004
 NUMBER = re.compile(r"-?\d+\.\d+(?:e[-+]\d+)?|-?\d+e[-+]\d+")
 
@@ -118,20 +128,42 @@ def moving(arm: ArmEnvelope, rng: random.Random, part: float) -> ArmTrack:
     return track
 
 
-def arms(cell: str) -> list[str]:
+def stricter(cell: CellDescription) -> CellDescription:
+    """A cell that stands askew, and whose joints have other limits, each in another proportion."""
+    arms = []
+    c, s = math.cos(0.3), math.sin(0.3)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ [[1, 0, 0], [0, c, -s], [0, s, c]]
+    for cell_arm in cell.arms:
+        joints = []
+        for k, joint in enumerate(cell_arm.arm.joints):
+            rates = [key for key in type(joint).model_fields if key.startswith("max_")]
+            less = {
+                key: getattr(joint, key) * (0.95 - 0.03 * k - 0.11 * n)
+                for n, key in enumerate(rates)
+            }
+            joints.append(joint.model_copy(update=less))
+        base = np.array(cell_arm.T_task_base)
+        base[:3, :3] = turn @ base[:3, :3]
+        arm = replace(cell_arm.arm, joints=tuple(joints))
+        arms.append(replace(cell_arm, arm=arm, T_task_base=base))
+    return replace(cell, arms=tuple(arms))
+
+
+def arms(name: str) -> list[str]:
     """Stops, reaches, points and Jacobians of a cell's arms."""
     rng, found = random.Random(1), list[str]()
-    for arm in CellEnvelope.of(load_cell(cell), PERIOD).arms:
-        for part in (0.02, 0.1, 0.3, 0.6, 0.9, 1.0):
+    cell = load_cell(name.removesuffix(", stricter"))
+    cell = stricter(cell) if name.endswith("stricter") else cell
+    for arm in CellEnvelope.of(cell, PERIOD).arms:
+        for part in (0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0):
             track = moving(arm, rng, part)
-            for has_jaw in (False, True):
-                reach = Reach(arm, PERIOD, has_jaw)
+            for reach in (Reach(arm, PERIOD), Reach(arm, PERIOD, True)):
                 time = reach.speed_and_time(track.fastest, track.sharpest)
                 found.append(_row(*time, reach.travel(track)))
             stop = track.stop()
             extents = [x for joint in (0, 1, 2, 5) for x in track.asked_extent(joint)]
             found.append(_row(stop.duration_s, *extents, *track.asked_end()))
-            found += [_row(*stop.at(t).jp, *stop.at(t).jv) for t in (0.01, 0.05, 0.1, 0.3)]
+            found += [_row(*stop.at(t).jp, *stop.at(t).jv) for t in (0.02, 0.1)]
             found.append(_row(*(x for point in track.asked_points for x in point)))
             columns = arm.chain.jacobian(track.asked_q)
             found.append(_row(*(x for column in columns for x in column)))

@@ -79,7 +79,7 @@ class Chain:
         else:
             behind, wrist = 0, point
         last = len(links) - 1
-        rows = [(*map(float, row),) for row in cell_arm.T_task_base.tolist()[:3]]
+        first, second, third, _ = [(*map(float, row),) for row in cell_arm.T_task_base.tolist()]
         return cls(
             hand=links[:behind],
             arm=links[behind:],
@@ -90,7 +90,7 @@ class Chain:
             jaw_end=_mixed(1.0, point, length, z),
             wrist=wrist,
             shaft_end=_mixed(1.0, wrist, -arm.shape.shaft_radius_m, along),
-            T_task_base=((*rows[0],), (*rows[1],), (*rows[2],)),  # type: ignore[arg-type]
+            T_task_base=(first, second, third),  # type: ignore[arg-type]
         )
 
     def points(self, q: Joints) -> Points:

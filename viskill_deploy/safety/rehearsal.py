@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import isnan
+
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import CellState, ObservationRange, Request, Verdict
 from viskill_deploy.safety.supervisor import Supervisor
@@ -46,5 +48,5 @@ class Rehearsal:
         decision = self._gate.check(state, request, now)
         for rule, margin in zip(self._gate.rules, decision.margins, strict=True):
             # a margin that is no number counts as broken, or it would be forgotten
-            self.margins[rule] = min(self.margins[rule], margin if margin <= 1.0 else -1.0)
+            self.margins[rule] = min(self.margins[rule], -1.0 if isnan(margin) else margin)
         return decision.verdicts

@@ -1,7 +1,9 @@
 """Disarming after a run, and a gate that judges plans without letting anything out."""
 
+import math
 from dataclasses import replace
 
+import pytest
 from gate_rig import CELL, PERIOD, Rig
 
 from viskill_deploy.core.types import Action, Mode, Request
@@ -54,6 +56,20 @@ def rehearsed() -> tuple[Rehearsal, Rig]:
     assert rehearsal.begin(refused, agreed, rig.now) == ()
     rig.consent = True
     return rehearsal, rig
+
+
+def test_a_margin_that_is_no_number_counts_as_broken(monkeypatch: pytest.MonkeyPatch) -> None:
+    rehearsal, rig = rehearsed()
+    check = rehearsal._gate.check
+
+    def checked(*args):
+        decision = check(*args)
+        return replace(decision, margins=(math.nan, 0.25, *decision.margins[2:]))
+
+    monkeypatch.setattr(rehearsal._gate, "check", checked)
+    rehearsal.judge(rig.state(), Request(rig.stay()), rig.now + PERIOD)
+    first, second, *_ = rehearsal.margins.values()
+    assert (first, second) == (-1.0, 0.25)
 
 
 def test_a_rehearsal_judges_like_the_gate_and_returns_verdicts_alone() -> None:
