@@ -1,8 +1,9 @@
 """Every rule at every level, joint by joint and arm by arm."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -53,6 +54,34 @@ def test_every_rule_has_its_own_id_and_says_what_it_needs():
     rules = find_rules()
     assert len({rule.id for rule in rules}) == len(rules)
     assert all(isinstance(rule.needs, Needs) for rule in rules)
+
+
+def test_s01_takes_a_list_for_no_setpoints_and_blames_no_arm():
+    rig = Rig()
+    nothing_wrong, unsound = rig.stay()[0], replace(rig.stay()[1], jaw=math.nan)
+    for setpoints in ([nothing_wrong, unsound], [nothing_wrong] * 2, (), (nothing_wrong,) * 3):
+        (verdict,) = words(made("S01"), cycle_of(rig, Request(setpoints)))
+        assert (verdict.action, verdict.arm, verdict.joint) == (Action.FAULT, -1, -1)
+
+
+@pytest.mark.parametrize("rule_id", ["S01", "S02"])
+def test_what_cannot_be_used_has_a_margin_of_minus_one(rule_id):
+    rig = Rig()
+    rig.broken[0] = {"jaw_measured_jp": math.nan}
+    setpoints = replaced(rig.stay(), 0, replace(rig.stay()[0], jaw=math.nan))
+    cycle = cycle_of(rig, Request(setpoints))
+    assert made(rule_id).margin(cycle) == -1.0
+    assert made(rule_id).margin(cycle_of(Rig())) == 1.0
+
+
+def test_s02_takes_what_looks_like_an_arms_state_for_none():
+    rig = Rig()
+    cycle = cycle_of(rig)
+    first, *others = rig.state().arms
+    double = SimpleNamespace(**{field.name: getattr(first, field.name) for field in fields(first)})
+    cycle.state = replace(cycle.state, arms=(double, *others))
+    (verdict,) = words(made("S02"), cycle)
+    assert (verdict.action, verdict.arm) == (Action.FAULT, 0)
 
 
 # S01, S02: numbers ---------------------------------------------------------------------------

@@ -428,8 +428,22 @@ def test_the_gate_holds_its_own_stop_against_the_limit_of_jerk():
 # No way to take a rule out --------------------------------------------------------------------
 
 
+def rules_of() -> str:
+    return rule_base.rules.__name__ + "."
+
+
 def test_every_required_rule_is_there():
+    first = {f"S{number:02d}" for number in range(1, 27)}
+    assert sorted(REQUIRED - first) == ["S29", "S30", "S32"]
+    assert first < REQUIRED
     assert {rule.id for rule in find_rules()} >= REQUIRED
+
+
+def test_two_files_with_one_rule_do_not_start(monkeypatch):
+    modules = list(rule_base.pkgutil.iter_modules(rule_base.rules.__path__, rules_of()))
+    monkeypatch.setattr(rule_base.pkgutil, "iter_modules", lambda *_: [*modules, modules[0]])
+    with pytest.raises(SafetyStop, match="not complete"):
+        find_rules()
 
 
 def test_an_installation_without_a_rule_does_not_start(monkeypatch):

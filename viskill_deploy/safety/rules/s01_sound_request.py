@@ -26,27 +26,26 @@ class Rule:
     def margin(self, cycle: Cycle) -> float:
         """1.0 for a sound request, also for none at all (that is S16's)."""
         request = cycle.request
-        setpoints = request.setpoints
-        if setpoints is None:
-            return 1.0
-        if setpoints.__class__ is not tuple or len(setpoints) != self._arms:
-            return -1.0
-        for setpoint, joints in zip(setpoints, self._joints, strict=True):
-            if not _is_sound(setpoint, joints):
-                return -1.0
-        return 1.0 if self._has_sound_rest(request) else -1.0
+        return 1.0 if request.setpoints is None or self._is_sound(request) else -1.0
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """One verdict an unsound arm; one for the cell when the shape is wrong."""
-        setpoints = cycle.request.setpoints
-        if setpoints.__class__ is tuple and setpoints and len(setpoints) == self._arms:
+        setpoints = cycle.request.setpoints or ()
+        if is_vector(setpoints, self._arms):
             for arm, (setpoint, joints) in enumerate(zip(setpoints, self._joints, strict=True)):
                 if not _is_sound(setpoint, joints):
                     yield Verdict(self.id, Action.FAULT, arm, _joint(setpoint, joints))
-            if all(map(_is_sound, setpoints, self._joints)):
+            if not self._has_sound_rest(cycle.request):
                 yield Verdict(self.id, Action.FAULT)
         else:
             yield Verdict(self.id, Action.FAULT)
+
+    def _is_sound(self, request: Request) -> bool:
+        return (
+            is_vector(request.setpoints, self._arms)
+            and all(map(_is_sound, request.setpoints or (), self._joints))
+            and self._has_sound_rest(request)
+        )
 
     def _has_sound_rest(self, request: Request) -> bool:
         due = request.waypoint_due_s

@@ -24,17 +24,14 @@ class Rule:
     def margin(self, cycle: Cycle) -> float:
         """1.0 for a state that can be used."""
         arms = cycle.state.arms
-        if arms.__class__ is not tuple or len(arms) != len(self._arms):
-            return -1.0
-        for arm, envelope in zip(arms, self._arms, strict=True):
-            if not (_is_expected(arm, envelope) and _is_sound(arm, len(envelope.joint_names))):
-                return -1.0
-        return 1.0
+        if is_vector(arms, len(self._arms)) and all(map(_can_be_used, arms, self._arms)):
+            return 1.0
+        return -1.0
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """One verdict an unsound arm; one for the cell when their number is wrong."""
         arms = cycle.state.arms
-        if arms.__class__ is not tuple or len(arms) != len(self._arms):
+        if not is_vector(arms, len(self._arms)):
             yield Verdict(self.id, Action.FAULT)
             return
         for index, (arm, envelope) in enumerate(zip(arms, self._arms, strict=True)):
@@ -42,6 +39,10 @@ class Rule:
                 yield Verdict(self.id, Action.FAULT, index)
             elif not _is_sound(arm, len(envelope.joint_names)):
                 yield Verdict(self.id, Action.FAULT, index, _joint(arm, len(envelope.joint_names)))
+
+
+def _can_be_used(arm: ArmState, envelope: ArmEnvelope) -> bool:
+    return _is_expected(arm, envelope) and _is_sound(arm, len(envelope.joint_names))
 
 
 def _is_expected(arm: ArmState, envelope: ArmEnvelope) -> bool:
