@@ -1,5 +1,6 @@
 """Exact borders, and the shortcuts of rules: how little they look at is a part of what they do."""
 
+import random
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -8,7 +9,10 @@ from gate_rig import PERIOD, RULES, Rig, words
 
 from viskill_deploy.core.types import Action, JointSetpoint, Request
 from viskill_deploy.safety.cycle import Cycle
+from viskill_deploy.safety.envelope import ROUNDING
 from viskill_deploy.safety.reach import Reach
+from viskill_deploy.safety.rules import s12_port
+from viskill_deploy.safety.scaling import scale_or_hold
 
 ARM = Rig().gate.envelope.arms[0]
 
@@ -79,3 +83,180 @@ def test_s04_blames_joints_beyond_their_border_alone():
     cycle.state = replace(cycle.state, arms=cycle.state.arms[:1])
     (verdict,) = rule.judge(cycle)
     assert (verdict.joint, verdict.limit, verdict.action) == (1, 7.0, Action.FAULT)
+
+
+def one_arm(**track: object) -> SimpleNamespace:
+    """A cycle with one arm, of which a rule sees nothing but these."""
+    return SimpleNamespace(tracks=[SimpleNamespace(index=0, **track)])
+
+
+@pytest.mark.parametrize(
+    ("part", "action"),
+    [(1.0, None), (1.0000001, Action.SCALE), (1.2, Action.SCALE), (1.2000001, Action.HOLD)],
+)
+def test_a_little_over_a_limit_scales_from_the_limit_itself_to_a_fifth_over_it(part, action):
+    said = list(scale_or_hold("S05", 1, 2, part, 4.0))
+    assert [v.action for v in said] == [action] * (action is not None)
+    assert [(v.rule, v.arm, v.joint, v.value, v.limit) for v in said] == [
+        ("S05", 1, 2, 4.0 * part, 4.0)
+    ] * len(said)
+
+
+def test_s05_sums_the_last_quarter_of_a_second_since_the_first_cycle():
+    period, rng = 2.0**-8, random.Random(0)
+    rule = RULES["S05"](replace(Rig().gate.envelope, period=period))
+    since: list[tuple[float, float]] = []
+    now = 1.0
+    for k in range(400):
+        is_first = k in (0, 40, 170)
+        now += period * rng.choice([1, 1, 1, 2, 5])  # multiples: some are a quarter second apart
+        largest = rng.choice([0.1, 0.5, 1.0])
+        since = [(now - period, 0.0)] if is_first else since
+        since.append((now, largest))
+        old = [t for t, _ in since if t <= now - 0.25]
+        start = max(old) if old else since[0][0]
+        way = sum(part for t, part in since[1:] if t > start) * period
+        cycle = SimpleNamespace(now=now, is_first=is_first)
+        expected = way / max(now - start, 0.25)
+        assert rule._over_window(cycle, largest) == pytest.approx(expected, rel=1e-9)
+
+
+def test_s08_lets_a_joint_go_exactly_twice_as_far_as_at_full_speed():
+    rule = RULES["S08"](Rig().gate.envelope)
+    cycle = one_arm(speed=[2.0, 0.0, 2.0000001], asked_step=[-3.0, 0.0, -7.0])
+    assert rule.margin(cycle) < 0.0
+    rule._limits = rule._limits[:1]
+    (verdict,) = rule.judge(cycle)
+    assert (verdict.joint, verdict.value, verdict.action) == (2, 7.0, Action.HOLD)
+
+
+@pytest.mark.parametrize(("over", "holds"), [(0.0, 0), (0.5, 0), (2.0, 1)])
+def test_s09_allows_a_first_command_a_roundings_width_more(over, holds):
+    rig = Rig()
+    rule, cycle = RULES["S09"](rig.gate.envelope), at({})
+    assert cycle.is_first
+    far = ARM.first_command[1] * (1.0 + over * ROUNDING)
+    arm = rig.state().arms[0]
+    jp = list(arm.setpoint_jp)
+    jp[1] = 0.0
+    cycle.state = replace(
+        cycle.state, arms=(replace(arm, setpoint_jp=tuple(jp)), rig.state().arms[1])
+    )
+    moved = replace(rig.stay()[0], jp=(jp[0], far, *jp[2:]))
+    cycle.tracks[0].ask(moved)
+    assert len(words(rule, cycle)) == holds
+
+
+def test_s09_holds_beyond_its_border_alone():
+    rule = RULES["S09"](Rig().gate.envelope)
+    rule._distances = lambda cycle: [(0, 1, 5.0, 5.0, 1.0), (0, 2, 6.0, 5.0, 1.2)]
+    (verdict,) = rule.judge(None)
+    assert (verdict.joint, verdict.value, verdict.limit) == (2, 6.0, 5.0)
+
+
+def test_s10_lets_a_tip_be_exactly_as_fast_as_its_ceiling():
+    rule = RULES["S10"](Rig().gate.envelope)
+    rule._ceiling = 0.25 * (1.0 - ROUNDING)
+    (verdict,) = rule.judge(one_arm(point_speed=0.25))
+    assert verdict.action is Action.HOLD
+    (verdict,) = rule.judge(one_arm(point_speed=0.2500001))
+    assert (verdict.action, verdict.limit) == (Action.STOP, rule._ceiling)
+
+
+@pytest.mark.parametrize(
+    ("distance", "action"),
+    [(1.0, None), (1.0001, Action.WARN), (2.0, Action.WARN), (2.0001, Action.STOP)],
+)
+def test_s12_warns_beyond_one_distance_and_stops_beyond_the_other(distance, action):
+    rule = RULES["S12"](Rig().gate.envelope)
+    rule._warn, rule._stop = (1.0,), (2.0,)
+    points = ((0.0,) * 3, (0.0,) * 3, (distance, 0.0, 0.0), (distance, 0.0, 1.0))
+    envelope = SimpleNamespace(port=(0.0, 0.0, 5.0), port_warn=1.0, port_stop=2.0)
+    said = list(rule.judge(one_arm(fastest=0.5, asked_points=points, envelope=envelope)))
+    assert [v.action for v in said] == [action] * (action is not None)
+
+
+@pytest.mark.parametrize(("fastest", "gone"), [(100.0, 3.0), (100.0001, 0.0)])
+def test_s12_measures_nothing_in_a_leap(fastest, gone):
+    points = ((0.0,) * 3, (0.0,) * 3, (3.0, 0.0, 0.0), (3.0, 0.0, 1.0))
+    envelope = SimpleNamespace(port=(0.0, 0.0, 5.0))
+    (track,) = one_arm(fastest=fastest, asked_points=points, envelope=envelope).tracks
+    assert s12_port._distance(track) == gone
+
+
+@pytest.mark.parametrize(("gap", "leaves"), [(-1e-12, True), (0.0, False), (1e-12, False)])
+def test_s11_is_left_below_a_gap_of_nothing(gap, leaves):
+    rule, cycle = RULES["S11"](Rig().gate.envelope), at({0: 0.1}, {0: 1e-3})
+    rule._gap = lambda arm, point, jaw_end: 1.0
+    assert rule._is_leaving(cycle.tracks[0], gap) is leaves
+
+
+def test_s11_measures_the_jaws_end_from_the_floor_wherever_that_is():
+    rule = RULES["S11"](Rig().gate.envelope)
+    rule._floor, rule._boxes = -0.02, (((-1.0,) * 3, (1.0,) * 3),)
+    assert rule._gap(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.01)) == pytest.approx(0.03, abs=2e-9)
+
+
+@pytest.mark.parametrize("depth", [0.0, -1e-12])
+def test_s13_asks_how_an_arm_moves_only_short_of_the_cannulas_end(depth):
+    cycle = at({2: ARM.insertion_min + depth}, {0: 1e-3})
+    rule = RULES["S13"](cycle.envelope)
+    rule._least = tuple(track.asked_q[2] for track in cycle.tracks)  # exactly there
+    assert rule.margin(cycle) == 0.0
+    assert list(rule.judge(cycle)) == []
+    rule._least = tuple(track.asked_q[2] + 1e-12 for track in cycle.tracks)
+    assert rule.margin(cycle) == -1.0
+    (verdict,) = rule.judge(cycle)  # the other arm stands
+    assert (verdict.arm, verdict.joint) == (0, 2)
+
+
+def test_s16_counts_to_three_and_from_the_start_again():
+    rule = RULES["S16"](Rig().gate.envelope)
+
+    def asked(setpoints, failure="", is_stopping=False):
+        request = SimpleNamespace(setpoints=setpoints, failure=failure)
+        margin = rule.margin(SimpleNamespace(request=request, is_stopping=is_stopping))
+        said = [] if margin >= 0.0 else [v.action for v in rule.judge(None)]
+        return margin, said
+
+    held, fault = [Action.HOLD], [Action.FAULT]
+    assert asked(None) == (-1.0, held)
+    assert asked(None, "no solution") == (-2.0, held)
+    assert asked(None, "no solution", True) == (-3.0, fault)
+    assert asked(None, "", True) == (1.0, [])
+    assert asked(None, "no solution", True) == (-1.0, held)
+    assert asked(()) == (1.0, [])
+    assert asked(None) == (-1.0, held)
+
+
+def test_s17_measures_how_long_an_arm_is_off_to_the_border():
+    rule = RULES["S17"](Rig().gate.envelope)
+    rule._time, rule._off, rule._far_off = (1.0, 1.0), [0.0, 0.0], [0.0, 0.0]
+    parts = [[1.0, 0.5], [0.25]]
+    rule._parts = lambda cycle, index, arm: parts[index]
+    cycle = SimpleNamespace(
+        state=SimpleNamespace(arms=("one", "other")), dt=0.5, stopped_before=frozenset()
+    )
+    assert rule.margin(cycle) == 0.0  # at the tolerance: not off
+    assert rule._off == [0.0, 0.0]
+    parts[0] = [1.5, 2.0]
+    assert rule.margin(cycle) == 0.0
+    assert (rule._off, rule._far_off) == ([0.5, 0.0], [0.0, 0.0])
+    assert rule.margin(cycle) == 0.0  # off for as long as it may be
+    assert list(rule.judge(cycle)) == []
+    parts[0] = [2.5, 1.0]
+    assert rule.margin(cycle) == -0.5
+    (verdict,) = rule.judge(cycle)
+    assert (verdict.arm, verdict.joint, verdict.action) == (0, 0, Action.STOP)
+    assert verdict.value == pytest.approx(2.5 * ARM.tracking[0])
+    parts[0] = [0.5]
+    rule.margin(cycle)
+    assert (rule._off, rule._far_off) == ([1.375, 0.0], [0.375, 0.0])
+    for off, far_off, action in ((1.5, 1.0, Action.STOP), (1.5, 1.5, Action.FAULT)):
+        rule._off, rule._far_off = [off, 1.0], [far_off, 0.0]
+        (verdict,) = rule.judge(cycle)
+        assert verdict.action is action
+    cycle.stopped_before = frozenset({"S17"})
+    rule._far_off = [0.0, 0.0]
+    (verdict,) = rule.judge(cycle)
+    assert verdict.action is Action.FAULT

@@ -36,8 +36,9 @@ class Rule:
             tuple((1.0 - ROUNDING) / x for x in limits) for limits in self._limits
         )
         self._past: deque[tuple[float, float]] = deque()
-        self._base = (0.0, 0.0)
-        self._sum = self._window = 0.0
+        self._base: tuple[float, float]
+        self._sum: float
+        self._window: float
 
     def margin(self, cycle: Cycle) -> float:
         """One minus the largest speed as a part of its limit."""
@@ -62,7 +63,7 @@ class Rule:
         now, past = cycle.now, self._past
         if cycle.is_first:
             past.clear()
-            self._base = (now - self._period, self._sum)
+            self._base, self._sum = (now - self._period, 0.0), 0.0
         self._sum += largest
         past.append((now, self._sum))
         while past[0][0] <= now - WINDOW_S:

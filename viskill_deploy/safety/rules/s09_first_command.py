@@ -24,16 +24,16 @@ class Rule:
         """One minus the largest distance as a part of what is allowed; 1.0 later on."""
         if not cycle.is_first:
             return 1.0
-        return 1.0 - max(part for _, _, _, _, part in self._distances(cycle)) * (1.0 - ROUNDING)
+        return 1.0 - max(part for _, _, _, _, part in self._distances(cycle))
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """One verdict a joint that would start with a jerk."""
         for arm, joint, distance, limit, part in self._distances(cycle):
-            if part * (1.0 - ROUNDING) > 1.0:
+            if part > 1.0:
                 yield Verdict(self.id, Action.HOLD, arm, joint, distance, limit)
 
     def _distances(self, cycle: Cycle) -> Iterator[tuple[int, int, float, float, float]]:
         for track, arm, limits in zip(cycle.tracks, cycle.state.arms, self._limits, strict=True):
             for joint, limit in enumerate(limits):
                 distance = abs(track.asked.jp[joint] - arm.setpoint_jp[joint])
-                yield track.index, joint, distance, limit, distance / limit
+                yield track.index, joint, distance, limit, distance / limit * (1.0 - ROUNDING)

@@ -31,10 +31,10 @@ class Rule:
 
     def margin(self, cycle: Cycle) -> float:
         """Distance to the nearest wall or the floor, as a part of half the narrowest side."""
-        gaps = [1.0]
+        gaps: list[float] = []
         for track, scale in zip(cycle.tracks, self._scale, strict=True):
             gap = self._gap(track.index, track.asked_point, track.asked_jaw_end)
-            if gap < 0.0 and self._is_leaving(track):
+            if self._is_leaving(track, gap):
                 return -1.0
             gaps.append(gap * scale)
         return max(min(gaps), 0.0)
@@ -42,14 +42,14 @@ class Rule:
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """One verdict an arm on its way out; the value is its distance beyond the wall, m."""
         for track in cycle.tracks:
-            if self._is_leaving(track):
-                gap = self._gap(track.index, track.asked_point, track.asked_jaw_end)
+            gap = self._gap(track.index, track.asked_point, track.asked_jaw_end)
+            if self._is_leaving(track, gap):
                 yield Verdict(self.id, Action.HOLD, track.index, -1, -gap, 0.0)
 
-    def _is_leaving(self, track: ArmTrack) -> bool:
-        gap = self._gap(track.index, track.asked_point, track.asked_jaw_end)
-        before = self._gap(track.index, track.point, track.jaw_end)
-        return gap < 0.0 and gap <= before and track.asked_q != track.q
+    def _is_leaving(self, track: ArmTrack, gap: float) -> bool:
+        if gap < 0.0 and track.asked_q != track.q:
+            return gap <= self._gap(track.index, track.point, track.jaw_end)
+        return False
 
     def _gap(self, arm: int, point: Point, jaw_end: Point) -> float:
         """Distance to the nearest wall or the floor, m; negative outside."""
