@@ -2,16 +2,17 @@
 
 import random
 from dataclasses import replace
+from math import inf
 from types import SimpleNamespace
 
 import pytest
 from gate_rig import PERIOD, RULES, Rig, words
 
-from viskill_deploy.core.types import Action, JointSetpoint, Request
+from viskill_deploy.core.types import Action, JointSetpoint, ObservationRange, Request
 from viskill_deploy.safety.cycle import Cycle
 from viskill_deploy.safety.envelope import ROUNDING
 from viskill_deploy.safety.reach import Reach
-from viskill_deploy.safety.rules import s12_port
+from viskill_deploy.safety.rules import s12_port, s29_training_range
 from viskill_deploy.safety.scaling import scale_or_hold
 
 ARM = Rig().gate.envelope.arms[0]
@@ -260,3 +261,201 @@ def test_s17_measures_how_long_an_arm_is_off_to_the_border():
     rule._far_off = [0.0, 0.0]
     (verdict,) = rule.judge(cycle)
     assert verdict.action is Action.FAULT
+
+
+def test_s18_tells_old_numbers_from_frozen_ones_at_the_border():
+    rule = RULES["S18"](Rig().gate.envelope)
+    rule._hold, rule._fault, rule._far = (0.25,), (0.5,), ((0.5,),)
+    rule._freezes = rule._freezes[:1]
+
+    def seen(now, stamp, q, measured=(0.0,)):
+        arm = SimpleNamespace(stamp_s=stamp, measured_jp=measured)
+        track = SimpleNamespace(index=0, q=(q,))
+        cycle = SimpleNamespace(now=now, state=SimpleNamespace(arms=[arm]), tracks=[track])
+        return rule.margin(cycle), [(v.action, v.value) for v in rule.judge(cycle)]
+
+    assert seen(2.0, 2.0, 0.0) == (1.0, [])
+    assert seen(2.25, 2.25, 9.0) == (1.0, [])  # frozen for as long as may be
+    assert seen(2.5, 2.5, 0.5) == (1.0, [])  # and the setpoint has not moved farther than it may
+    assert seen(2.5, 2.5, 0.75) == (-1.0, [(Action.HOLD, 0.5)])
+    assert seen(2.75, 2.75, 0.75) == (-2.0, [(Action.FAULT, 0.75)])
+    assert seen(2.75, 1.75, 0.75) == (-3.0, [(Action.FAULT, 1.0)])  # older still than frozen
+    assert seen(3.0, 2.75, 9.0, (1.0,)) == (0.0, [])
+    assert seen(3.0, 3.5, 9.0, (1.0,)) == (-1.0, [(Action.HOLD, 0.5)])
+
+
+def test_s19_counts_from_when_the_waypoint_was_due():
+    rule = RULES["S19"](Rig().gate.envelope)
+    due = {inf: 1.0, 2.0: 1.0, 1.0: 1.0, 0.95: 0.5, 0.9: 0.0}
+    for at_s, margin in due.items():
+        cycle = SimpleNamespace(now=1.0, request=SimpleNamespace(waypoint_due_s=at_s))
+        assert rule.margin(cycle) == pytest.approx(margin, abs=1e-7)
+        assert rule.margin(cycle) >= 0.0
+
+
+def test_s20_counts_overruns_of_a_second_and_knows_one_that_is_too_long():
+    rule = RULES["S20"](Rig().gate.envelope)
+    rule._limit = 0.03125
+
+    def late(now, dt):
+        cycle = SimpleNamespace(now=now, dt=dt)
+        rule.margin(cycle)
+        (verdict,) = rule.judge(cycle)
+        return verdict.action
+
+    for k in range(4):
+        assert late(1.0 + k / 8, 0.03125) is Action.WARN  # as long as allowed: none
+    assert late(2.0, 0.04) is late(2.5, 0.04) is Action.WARN
+    assert late(3.0, 0.04) is Action.HOLD  # the first is exactly a second old
+    assert late(3.5, 0.04) is Action.HOLD
+    assert late(4.25, 0.04) is Action.WARN
+    assert late(9.0, 0.05) is Action.HOLD
+    assert late(11.0, 0.0499) is Action.WARN
+
+
+def test_s20_and_s26_allow_a_roundings_width_more():
+    envelope = Rig().gate.envelope
+    overrun, watchdog = RULES["S20"](envelope), RULES["S26"](envelope)
+    for over, kept in ((0.0, True), (0.5, True), (2.0, False)):
+        cycle = SimpleNamespace(now=1.0, dt=3.0 * PERIOD + over * ROUNDING)
+        assert (overrun.margin(cycle) >= 0.0) is kept
+        inputs = SimpleNamespace(watchdog_stamp_s=1.0 - 0.05 - over * ROUNDING)
+        cycle.state = SimpleNamespace(inputs=inputs)
+        assert (watchdog.margin(cycle) >= 0.0) is kept
+
+
+@pytest.mark.parametrize(
+    ("given", "dt", "margin"),
+    [(1.0, 0.0, 1.0), (1.0, 0.4999, 1.0), (1.0, 0.5, -1.0), (0.9999, 0.1, -1.0)],
+)
+def test_s21_lets_time_stand_but_not_leap(given, dt, margin):
+    rule = RULES["S21"](Rig().gate.envelope)
+    assert rule.margin(SimpleNamespace(given_now=given, now=1.0, dt=dt)) == margin
+
+
+def test_s22_believes_a_word_to_the_border_of_its_age():
+    rule = RULES["S22"](Rig().gate.envelope)
+    rule._hold, rule._stop = 0.25, 2.0
+
+    def said(now, stamp, consent=True, is_first=False):
+        inputs = SimpleNamespace(
+            consent=consent, consent_source="pedal", consent_stamp_s=stamp,
+            consent_is_streamed=True,
+        )  # fmt: skip
+        cycle = SimpleNamespace(
+            now=now, is_first=is_first, state=SimpleNamespace(inputs=inputs, arms=())
+        )
+        margin = rule.margin(cycle)
+        verdicts = [] if margin >= 0.0 else list(rule.judge(cycle))
+        return margin, [(v.action, v.value, v.limit) for v in verdicts]
+
+    assert said(1.0, 1.0, False, is_first=True) == (-1.0, [(Action.STOP, inf, 2.0)])
+    assert said(1.25, 1.0) == (0.0, [])  # good until here: the word is of 1.0
+    assert said(1.375, 1.0) == (-0.5, [(Action.HOLD, 0.375, 0.25)])
+    assert said(2.0, 1.0) == (-1.0, [(Action.HOLD, 1.0, 0.25)])
+    assert said(3.0, 1.0) == (-1.0, [(Action.HOLD, 2.0, 0.25)])
+    assert said(3.0, 3.0, False) == (-1.0, [(Action.HOLD, 2.0, 0.0)])
+    assert said(3.125, 1.0) == (-1.0, [(Action.STOP, 2.125, 2.0)])
+
+
+def test_what_is_one_thing_or_the_other_has_a_margin_of_one_or_minus_one():
+    rig = Rig()
+    good, cycle = at({}), at({})
+    cycle.state = replace(cycle.state, inputs=replace(cycle.state.inputs, estop=True))
+    cycle.state = replace(cycle.state, inputs=replace(cycle.state.inputs, watchdog_stepped_in=True))
+    cycle.reports = ("?",)
+    for rule_id in ("S23", "S25", "S32"):
+        rule = RULES[rule_id](rig.gate.envelope)
+        assert (rule.margin(good), rule.margin(cycle)) == (1.0, -1.0)
+    for broken in ({"valid": False}, {"is_homed": False}, {"operating_state": "DISABLED"}):
+        rig.broken = {1: broken}
+        good.state = rig.state()
+        assert RULES["S23"](rig.gate.envelope).margin(good) == -1.0
+
+
+def test_s29_widens_the_range_of_training_by_a_twentieth_and_what_sensors_do():
+    ranges = s29_training_range.widened(ObservationRange((0.0, 1.0), (2.0, 1.0)))
+    assert [ranges.nearest(0, -9.0), ranges.nearest(0, 9.0)] == pytest.approx([-0.102, 2.102])
+    assert [ranges.nearest(1, -9.0), ranges.nearest(1, 9.0)] == pytest.approx([0.998, 1.002])
+
+
+def test_s29_holds_when_an_observation_has_been_outside_for_a_second():
+    rule = RULES["S29"](Rig().gate.envelope)
+
+    def seen(now, part):
+        rule._farthest = lambda observation: part
+        request = SimpleNamespace(observation=(float(now),))
+        cycle = SimpleNamespace(now=now, request=request)
+        margin = rule.margin(cycle)
+        return margin, [v.action for v in rule.judge(cycle)] if margin < 0.0 else []
+
+    assert seen(1.0, 1.0) == (0.0, [])  # at the border: inside
+    assert seen(1.5, 1.5) == (-0.5, [Action.WARN])
+    assert seen(2.25, 3.0) == (-2.0, [Action.WARN])
+    assert seen(2.5 - 2.0 * ROUNDING, 1.5) == (-0.5, [Action.WARN])
+    assert seen(2.5 - 0.5 * ROUNDING, 1.5) == (-0.5, [Action.HOLD])
+    assert seen(2.75, 0.5) == (0.5, [])
+    assert seen(3.0, 1.5) == (-0.5, [Action.WARN])
+    assert seen(3.1, inf) == (-inf, [Action.HOLD])
+
+
+def jaw_rule(**track: object) -> tuple:
+    """S30 for one jaw that may be between 0.5 and 1.5 rad and move at 2 rad/s, and its cycle."""
+    rule = RULES["S30"](Rig().gate.envelope)
+    rule._range, rule._speed, rule._jaw = ((0.5, 1.5),), (2.0,), (6,)
+    rule._grip = [inf]
+    return rule, one_arm(**track)
+
+
+@pytest.mark.parametrize(
+    ("before", "jaw", "bound"),
+    [
+        (0.6, 0.5 - ROUNDING, None),
+        (0.6, 0.5 - 1e-6, 0.5),
+        (0.5 - 1e-6, 0.5 - 1e-6, None),
+        (0.4, 0.45, None),
+        (1.4, 1.5 + ROUNDING, None),
+        (1.4, 1.5 + 1e-6, 1.5),
+        (1.5 + 1e-6, 1.5 + 1e-6, None),
+        (1.7, 1.6, None),
+    ],
+)
+def test_s30_keeps_a_jaw_in_its_range_on_its_way_out_alone(before, jaw, bound):
+    asked = SimpleNamespace(jaw=jaw, jaw_v=0.0)
+    rule, cycle = jaw_rule(q=(before,), asked=asked, speed=[0.0])
+    cycle.request = SimpleNamespace(holding=(False,), may_open_jaw=())
+    assert (rule.margin(cycle) == -1.0) is (bound is not None)
+    assert [(v.joint, v.value, v.limit) for v in rule.judge(cycle)] == [(6, jaw, bound)] * (
+        bound is not None
+    )
+
+
+@pytest.mark.parametrize(
+    ("speed", "along", "holds"),
+    [
+        (1.0, 0.0, 0),
+        (1.0001, 0.0, 1),
+        (0.0, -2.0 * (1.0 + 0.5 * ROUNDING), 0),
+        (0.0, 2.0 * (1.0 + 2.0 * ROUNDING), 1),
+    ],
+)
+def test_s30_takes_the_faster_of_what_a_jaw_does_and_says(speed, along, holds):
+    asked = SimpleNamespace(jaw=1.0, jaw_v=along)
+    rule, cycle = jaw_rule(q=(1.0,), asked=asked, speed=[9.0, speed])
+    cycle.request = SimpleNamespace(holding=(False,), may_open_jaw=())
+    assert (rule.margin(cycle) < 0.0) is bool(holds)
+    assert len(list(rule.judge(cycle))) == holds
+
+
+def test_s30_keeps_a_grip_to_the_border():
+    asked = SimpleNamespace(jaw=0.75, jaw_v=0.0)
+    rule, cycle = jaw_rule(q=(0.75,), asked=asked, speed=[0.0])
+    cycle.request = SimpleNamespace(holding=(True,), may_open_jaw=())
+    rule._opening = lambda cycle, arm: 0.02
+    assert rule.margin(cycle) == 0.0
+    assert list(rule.judge(cycle)) == []
+    del rule._opening
+    for over, holds in ((0.5, 0), (2.0, 1)):
+        asked.jaw = 0.75 + 0.02 * (1.0 + over * ROUNDING)
+        assert (rule.margin(cycle) < 0.0) is bool(holds)
+        assert [v.value for v in rule.judge(cycle)] == [pytest.approx(0.02)] * holds

@@ -61,7 +61,7 @@ class Rule:
     def _over_window(self, cycle: Cycle, largest: float) -> float:
         """Way of the last 250 ms as a part of what full speed would make of them."""
         now, past = cycle.now, self._past
-        if cycle.is_first:
+        if cycle.is_first or not past:
             past.clear()
             self._base, self._sum = (now - self._period, 0.0), 0.0
         self._sum += largest

@@ -40,7 +40,7 @@ class Rule:
 
     def margin(self, cycle: Cycle) -> float:
         """Insertion past the cannula, as a part of the range beyond it."""
-        parts = [1.0]
+        parts: list[float] = []
         for track, least, scale in zip(cycle.tracks, self._least, self._scale, strict=True):
             past = _depth(track) - least
             if past < 0.0 and _is_more_than_insertion(track):
@@ -78,7 +78,7 @@ def _is_more_than_insertion(track: ArmTrack) -> bool:
     if not arm.has_remote_centre:
         deeper = _depth(track) - _past(arm.port, *track.points[:2])
         way = dist(track.asked_point, track.point)
-        return track.asked_q[:-1] != track.q[:-1] and not way <= deeper * STRAIGHT
+        return not way <= deeper * STRAIGHT
     moves = [new != old for new, old in zip(track.asked_q[:-1], track.q[:-1], strict=True)]
     moves[INSERTION] = track.asked_q[INSERTION] < track.q[INSERTION]
     return any(moves)

@@ -24,8 +24,8 @@ class _Freeze:
 
     def __init__(self) -> None:
         self.measured: Joints = ()
-        self.sent: Joints = ()
-        self.since = 0.0
+        self.sent: Joints
+        self.since: float
 
 
 class Rule:
@@ -69,12 +69,8 @@ class Rule:
         now, freeze = cycle.now, self._freezes[index]
         age = abs(now - cycle.state.arms[index].stamp_s)
         frozen = now - freeze.since
-        if (
-            frozen > age
-            and frozen > self._hold[index]
-            and self._moved(index, cycle.tracks[index].q)
-        ):
-            return frozen
+        if frozen > self._hold[index] and self._moved(index, cycle.tracks[index].q):
+            return max(frozen, age)
         return age
 
     def _moved(self, index: int, q: Joints) -> bool:

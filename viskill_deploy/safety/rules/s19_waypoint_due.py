@@ -26,7 +26,7 @@ class Rule:
     def margin(self, cycle: Cycle) -> float:
         """One minus the delay as a part of what is allowed."""
         overdue = cycle.now - cycle.request.waypoint_due_s - ROUNDING
-        return 1.0 - overdue / OVERDUE_S if overdue > 0.0 else 1.0
+        return 1.0 - max(overdue, 0.0) / OVERDUE_S
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """The delay in s."""

@@ -28,7 +28,7 @@ class Rule:
     needs: ClassVar[Needs] = Needs.NOTHING
 
     def __init__(self, cell: CellEnvelope) -> None:
-        self._limit = PERIODS * cell.period * (1.0 + ROUNDING) + ROUNDING
+        self._limit = PERIODS * cell.period + ROUNDING
         self._overruns: deque[float] = deque(maxlen=TOO_MANY)
 
     def margin(self, cycle: Cycle) -> float:

@@ -26,7 +26,7 @@ class Rule:
 
     def __init__(self, cell: CellEnvelope) -> None:
         self._hold, self._stop = cell.consent_hold + ROUNDING, cell.consent_stop + ROUNDING
-        self._source = ""
+        self._source: str
         self._age, self._good_at = inf, -inf
 
     def margin(self, cycle: Cycle) -> float:

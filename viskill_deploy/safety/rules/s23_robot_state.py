@@ -26,12 +26,7 @@ class Rule:
     def margin(self, cycle: Cycle) -> float:
         """1.0 when all is well."""
         state = cycle.state
-        if state.inputs.estop is not False:
-            return -1.0
-        for arm in state.arms:
-            if not is_able(arm):
-                return -1.0
-        return 1.0
+        return 1.0 if state.inputs.estop is False and all(map(is_able, state.arms)) else -1.0
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """One verdict for the emergency stop, one an arm that is not ready."""

@@ -24,7 +24,7 @@ class Rule:
 
     def margin(self, cycle: Cycle) -> float:
         """One minus the time since it last looked as a part of what is allowed."""
-        return 1.0 - _age(cycle) / (LOST_S * (1.0 + ROUNDING) + ROUNDING)
+        return 1.0 - _age(cycle) / (LOST_S + ROUNDING)
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """The time since it last looked, s."""

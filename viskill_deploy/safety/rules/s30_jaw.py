@@ -56,7 +56,7 @@ class Rule:
                 yield Verdict(self.id, Action.HOLD, arm, self._jaw[arm], opening, OPENS_RAD)
             if self._is_leaving_range(cycle, arm):
                 lower, upper = self._range[arm]
-                bound = lower if jaw < lower else upper
+                bound = min(max(jaw, lower), upper)
                 yield Verdict(self.id, Action.HOLD, arm, self._jaw[arm], jaw, bound)
 
     def _speed_part(self, track: ArmTrack) -> float:
