@@ -24,6 +24,7 @@ from viskill_deploy.core.types import Action, CellState, JointSetpoint, Request
 from viskill_deploy.safety.decision import Decision
 from viskill_deploy.safety.envelope import ArmEnvelope, CellEnvelope
 from viskill_deploy.safety.reach import Reach
+from viskill_deploy.safety.rules.s15_conditioning import changes
 from viskill_deploy.safety.stopping import CommonStop, JointStop
 from viskill_deploy.safety.track import ArmTrack
 
@@ -160,6 +161,8 @@ def arms(name: str) -> list[str]:
             for reach in (Reach(arm, PERIOD), Reach(arm, PERIOD, True)):
                 time = reach.speed_and_time(track.fastest, track.sharpest)
                 found.append(_row(*time, reach.travel(track)))
+            if arm.levers:
+                found.append(_row(*changes(arm)))
             stop = track.stop()
             extents = [x for joint in (0, 1, 2, 5) for x in track.asked_extent(joint)]
             found.append(_row(stop.duration_s, *extents, *track.asked_end()))

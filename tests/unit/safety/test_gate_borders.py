@@ -6,13 +6,19 @@ from math import inf
 from types import SimpleNamespace
 
 import pytest
-from gate_rig import PERIOD, RULES, Rig, words
+from gate_rig import CELL, PERIOD, RULES, Rig, words
 
+from viskill_deploy.core.cell_files import Clearance, KeepOut
 from viskill_deploy.core.types import Action, JointSetpoint, ObservationRange, Request
 from viskill_deploy.safety.cycle import Cycle
-from viskill_deploy.safety.envelope import ROUNDING
+from viskill_deploy.safety.envelope import ROUNDING, CellEnvelope
 from viskill_deploy.safety.reach import Reach
-from viskill_deploy.safety.rules import s12_port, s29_training_range
+from viskill_deploy.safety.rules import (
+    s12_port,
+    s14_distance,
+    s15_conditioning,
+    s29_training_range,
+)
 from viskill_deploy.safety.scaling import scale_or_hold
 
 ARM = Rig().gate.envelope.arms[0]
@@ -272,12 +278,15 @@ def test_s18_tells_old_numbers_from_frozen_ones_at_the_border():
         arm = SimpleNamespace(stamp_s=stamp, measured_jp=measured)
         track = SimpleNamespace(index=0, q=(q,))
         cycle = SimpleNamespace(now=now, state=SimpleNamespace(arms=[arm]), tracks=[track])
-        return rule.margin(cycle), [(v.action, v.value) for v in rule.judge(cycle)]
+        margin, verdicts = rule.margin(cycle), list(rule.judge(cycle))
+        assert all((v.arm, v.joint) == (0, -1) for v in verdicts)
+        return margin, [(v.action, v.value) for v in verdicts]
 
     assert seen(2.0, 2.0, 0.0) == (1.0, [])
     assert seen(2.25, 2.25, 9.0) == (1.0, [])  # frozen for as long as may be
     assert seen(2.5, 2.5, 0.5) == (1.0, [])  # and the setpoint has not moved farther than it may
     assert seen(2.5, 2.5, 0.75) == (-1.0, [(Action.HOLD, 0.5)])
+    assert seen(2.5, 2.5, -0.75) == (-1.0, [(Action.HOLD, 0.5)])
     assert seen(2.75, 2.75, 0.75) == (-2.0, [(Action.FAULT, 0.75)])
     assert seen(2.75, 1.75, 0.75) == (-3.0, [(Action.FAULT, 1.0)])  # older still than frozen
     assert seen(3.0, 2.75, 9.0, (1.0,)) == (0.0, [])
@@ -459,3 +468,202 @@ def test_s30_keeps_a_grip_to_the_border():
         asked.jaw = 0.75 + 0.02 * (1.0 + over * ROUNDING)
         assert (rule.margin(cycle) < 0.0) is bool(holds)
         assert [v.value for v in rule.judge(cycle)] == [pytest.approx(0.02)] * holds
+
+
+class Pair:
+    """Two things whose distance is given."""
+
+    radius, slow, stop, arms, pair = 0.25, 2.0, 1.0, (0, -1), "made_up"
+
+    def __init__(self, *gaps: float) -> None:
+        self.gaps = list(gaps)
+        self.asked = 0
+
+    def gap(self, ports: object, points: object) -> float:
+        self.asked += 1
+        return self.gaps.pop(0) if len(self.gaps) > 1 else self.gaps[0]
+
+
+def s14_of(*pairs: Pair, to_rest: float = 0.5):
+    """S14 with pairs that are made up, arms that stand, and a way to rest that is given."""
+    rule = RULES["S14"](Rig().gate.envelope)
+    rule._apart = tuple(pairs)
+    rule._free, rule._due = [inf] * len(pairs), [-inf] * len(pairs)
+    rule._reaches = [SimpleNamespace(travel=lambda track: to_rest)]
+    points = ((0.0,) * 3,) * 4
+    return rule, one_arm(
+        fastest=0.0, asked_points=points, points=points, point=points[0], step=[0.0]
+    )
+
+
+@pytest.mark.parametrize(("free", "judged"), [(0.5, True), (0.5000001, False)])
+def test_s14_judges_a_pair_that_a_stop_could_just_bring_near(free, judged, monkeypatch):
+    pair = Pair(2.0 + free)
+    rule, cycle = s14_of(pair)
+    monkeypatch.setattr(s14_distance, "_ways", lambda tracks: [[], []])
+    rule._look(cycle.tracks, 0.5)
+    assert pair.asked == (4 if judged else 1)  # asked, two ways through a stop, and before
+
+
+def test_s14_looks_again_when_what_was_free_may_be_used_up_and_no_sooner():
+    pair = Pair(4.0)
+    rule, cycle = s14_of(pair)
+    cycle.is_first = False
+    assert rule.margin(cycle) == 1.0
+    assert pair.asked == 1
+    rule._travelled = lambda track: 0.75  # counts twice: 1.5 and the half of the way to rest
+    rule.margin(cycle)
+    assert pair.asked == 1  # 2.0 of 2.0: just not yet
+    rule._travelled = lambda track: 1e-9
+    rule.margin(cycle)
+    assert pair.asked == 2
+
+
+def test_s14_looks_at_a_pair_only_when_that_is_due_itself():
+    near, far = Pair(3.0), Pair(9.0)
+    rule, cycle = s14_of(near, far)
+    rule._look(cycle.tracks, 0.5)
+    assert (rule._due, rule._next) == ([1.0, 7.0], 1.0)
+    rule._used = 0.5
+    rule._look(cycle.tracks, 0.5)
+    assert (near.asked, far.asked) == (1, 1)  # at the border: not yet
+    rule._used = 0.6
+    rule._look(cycle.tracks, 0.5)
+    assert (near.asked, far.asked) == (2, 1)
+
+
+def test_s14_works_the_ways_through_a_stop_out_once_for_all_pairs(monkeypatch):
+    rule, cycle = s14_of(Pair(1.5), Pair(1.6), Pair(1.7))
+    asked = []
+    monkeypatch.setattr(s14_distance, "_ways", lambda tracks: asked.append(1) or [[], []])
+    rule._look(cycle.tracks, 0.5)
+    assert len(asked) == 1
+
+
+@pytest.mark.parametrize(("fastest", "looks"), [(100.0, 1), (100.0001, 0)])
+def test_s14_does_not_look_where_a_leap_leads(fastest, looks):
+    pair = Pair(4.0)
+    rule, cycle = s14_of(pair)
+    cycle.is_first, cycle.tracks[0].fastest = True, fastest
+    assert rule.margin(cycle) == 1.0
+    assert pair.asked == looks
+
+
+@pytest.mark.parametrize(
+    ("before", "left", "action"),
+    [
+        (5.0, 2.0 * (1.0 - ROUNDING), None),
+        (5.0, 2.0 * (1.0 - 2.0 * ROUNDING), Action.SCALE),
+        (1.5, 1.5, None),
+        (5.0, 1.0 * (1.0 - ROUNDING), Action.SCALE),
+        (5.0, 1.0 * (1.0 - 2.0 * ROUNDING), Action.STOP),
+        (0.5, 0.5, None),
+        (ROUNDING - 0.25, ROUNDING - 0.25, Action.STOP),
+        (-0.25 + 2.0 * ROUNDING, -0.25 + 2.0 * ROUNDING, None),
+    ],
+)
+def test_s14_judges_what_is_left_to_the_border(before, left, action):
+    rule, cycle = s14_of()
+    rule._judge(Pair(before), cycle.tracks, left)
+    assert [v.action for v in rule._verdicts] == [action] * (action is not None)
+    for verdict in rule._verdicts:
+        assert verdict.value == before - left
+        assert verdict.limit == max(before - (1.0 if action is Action.STOP else 2.0), -1.0 - 0.25)
+
+
+def test_s14_follows_the_jaws_end_where_something_must_keep_clear_of_it():
+    points = ((0.0,) * 3,) * 4
+    asked = (points[0], (0.0, 0.0, 0.5), (0.25, 0.0, 0.0), points[0])
+    (track,) = one_arm(asked_points=asked, points=points, point=points[0]).tracks
+    rule = RULES["S14"](Rig().gate.envelope)
+    assert not rule._has_jaw
+    assert rule._travelled(track) == 0.25
+    box = KeepOut(name="lamp", lower_m=(0.1, 0.1, 0.1), upper_m=(0.2, 0.2, 0.2))
+    wide = Clearance(slow_m=0.004, stop_m=0.002)
+    given = CELL.file.distances
+    apart = given.apart | {f"{part}_keep_out": wide for part in ("shaft", "wrist", "jaw")}
+    distances = given.model_copy(update={"apart": apart, "keep_out": (box,)})
+    cell = replace(CELL, file=CELL.file.model_copy(update={"distances": distances}))
+    rule = RULES["S14"](CellEnvelope.of(cell, PERIOD))
+    assert rule._has_jaw
+    assert rule._travelled(track) == 0.5
+
+
+def s15_of(values: dict[float, float], monkeypatch):
+    """S15 for arms whose smallest singular value is given by their first joint."""
+    asked = []
+
+    def value_of(arm: object, q: tuple[float, ...]) -> float:
+        asked.append(q[0])
+        return values[q[0]]
+
+    monkeypatch.setattr(s15_conditioning, "smallest_singular_value", value_of)
+    rule = RULES["S15"](Rig().gate.envelope)
+    rule._changes = [(0.5,), (0.5,)]
+    return rule, asked
+
+
+def conditioned(*joints: tuple[float, float]) -> SimpleNamespace:
+    """Arms that go from a joint to another, and slow below 1.0 and hold below 0.5."""
+    envelope = SimpleNamespace(slow_value=1.0, least_value=0.5, ik_residual=0.001)
+    tracks = [
+        SimpleNamespace(index=i, envelope=envelope, q=(a,), asked_q=(b,), asked_point=(0.0,) * 3)
+        for i, (a, b) in enumerate(joints)
+    ]
+    return SimpleNamespace(tracks=tracks, request=SimpleNamespace(tips=()))
+
+
+@pytest.mark.parametrize(
+    ("value", "action"),
+    [
+        (1.0 - ROUNDING, None),
+        (1.0 - 2.0 * ROUNDING, Action.SCALE),
+        (0.5 * (1.0 - ROUNDING), Action.SCALE),
+        (0.5 * (1.0 - 2.0 * ROUNDING), Action.HOLD),
+    ],
+)
+def test_s15_slows_and_holds_under_its_bounds(value, action, monkeypatch):
+    rule, _ = s15_of({0.0: 3.0, 1.0: value, 2.0: 3.0}, monkeypatch)
+    cycle = conditioned((0.0, 1.0), (0.0, 2.0))
+    assert rule.margin(cycle) == (0.0 if action is None else -1.0)
+    said = list(rule.judge(cycle))
+    assert [(v.arm, v.action) for v in said] == [(0, action)] * (action is not None)
+
+
+def test_s15_blames_no_arm_that_goes_away_from_a_singularity(monkeypatch):
+    rule, _ = s15_of({0.0: 0.25, 1.0: 0.75, 2.0: 3.0, 3.0: 0.125}, monkeypatch)
+    cycle = conditioned((0.0, 1.0), (2.0, 3.0))
+    assert rule.margin(cycle) == -1.0
+    (verdict,) = rule.judge(cycle)
+    assert (verdict.arm, verdict.joint, verdict.value, verdict.limit) == (1, -1, 8.0, 2.0)
+    rule, _ = s15_of({0.0: 0.25, 1.0: 0.75}, monkeypatch)
+    assert rule.margin(conditioned((0.0, 1.0))) == 0.0
+
+
+@pytest.mark.parametrize(("less", "approaches"), [(1e-9, False), (1.001e-9, True)])
+def test_s15_takes_a_nanometre_for_rounding(less, approaches, monkeypatch):
+    rule, _ = s15_of({0.0: 0.25, 1.0: 0.25 - less}, monkeypatch)
+    (track,) = conditioned((0.0, 1.0)).tracks
+    assert rule._is_approaching(track) is approaches
+
+
+def test_s15_works_the_value_out_anew_when_half_of_what_was_free_may_be_gone(monkeypatch):
+    rule, asked = s15_of({4.0: 3.0, 6.0: 2.5, 6.5: 2.25}, monkeypatch)
+
+    def at_least(q: float) -> float:
+        (track,) = conditioned((0.0, q)).tracks
+        return rule._at_least(track)
+
+    assert at_least(4.0) == 3.0
+    assert (at_least(6.0), asked) == (2.0, [4.0])  # 2 rad at 0.5: half of 2.0 is just not gone
+    assert (at_least(6.5), asked) == (2.25, [4.0, 6.5])
+
+
+def test_s15_holds_a_tip_off_its_path_beyond_the_border_alone(monkeypatch):
+    rule, _ = s15_of({0.0: 3.0, 1.0: 3.0}, monkeypatch)
+    cycle, parts = conditioned((0.0, 1.0), (0.0, 1.0)), [1.0, 1.5]
+    monkeypatch.setattr(s15_conditioning, "_residual", lambda cycle, track: parts[track.index])
+    assert rule.margin(cycle) == -0.5
+    (verdict,) = rule.judge(cycle)
+    assert (verdict.arm, verdict.joint, verdict.action) == (1, -1, Action.HOLD)
+    assert (verdict.value, verdict.limit) == (0.0015, 0.001)

@@ -41,7 +41,8 @@ class Rule:
         self._reaches = [Reach(arm, cell.period, self._has_jaw) for arm in cell.arms]
         self._free = [inf] * len(self._apart)
         self._due = [-inf] * len(self._apart)
-        self._next, self._used, self._margin = -inf, 0.0, 1.0
+        self._next, self._used = -inf, 0.0
+        self._margin: float
         self._verdicts: list[Verdict] = []
 
     def margin(self, cycle: Cycle) -> float:
@@ -50,11 +51,10 @@ class Rule:
         The true one is at least half of it.
         """
         tracks = cycle.tracks
-        leaps = max([track.fastest for track in tracks]) > LEAP
-        if leaps or cycle.is_first:
-            self._due, self._next = [-inf] * len(self._apart), -inf
-        if leaps:
+        if max([track.fastest for track in tracks]) > LEAP:
             return 1.0
+        if cycle.is_first:
+            self._due, self._next = [-inf] * len(self._apart), -inf
         self._used += 2.0 * sum([self._travelled(track) for track in tracks])
         to_rest = sum([reach.travel(t) for reach, t in zip(self._reaches, tracks, strict=True)])
         if self._used + to_rest > self._next:

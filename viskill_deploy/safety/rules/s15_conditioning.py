@@ -36,29 +36,28 @@ class Rule:
 
     def __init__(self, cell: CellEnvelope) -> None:
         self._changes = [CHANGE if arm.has_remote_centre else changes(arm) for arm in cell.arms]
-        self._at: list[Joints] = [(inf,) * len(change) for change in self._changes]
-        self._seen = [0.0] * len(cell.arms)
+        self._at: list[Joints] = [()] * len(cell.arms)
+        self._seen = [-inf] * len(cell.arms)
 
     def margin(self, cycle: Cycle) -> float:
         """The smallest singular value's room over the one that slows, as a part of that.
 
         A lower bound of it, at least a third; or one minus the residual as a part of its limit.
         """
-        margin = 1.0
+        parts: list[float] = []
         for track in cycle.tracks:
-            slow = track.envelope.slow_value
-            room = self._at_least(track) / slow - 1.0
-            if room < -ROUNDING:
-                room = -1.0 if self._is_approaching(track) else 0.0
-            margin = min(margin, room, 1.0 - _residual(cycle, track))
-        return margin
+            slow, value = track.envelope.slow_value, self._at_least(track)
+            is_bad = _is_under(value, slow) and self._is_approaching(track)
+            room = -1.0 if is_bad else max(value / slow - 1.0, 0.0)
+            parts += (room, 1.0 - _residual(cycle, track))
+        return min(parts)
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """Rad of a joint that a metre of the tip asks for, of an arm too near; a residual, m."""
         for track in cycle.tracks:
             arm, value = track.envelope, smallest_singular_value(track.envelope, track.asked_q)
-            if value < arm.slow_value * (1.0 - ROUNDING) and self._is_approaching(track):
-                is_near = value < arm.least_value * (1.0 - ROUNDING)
+            if _is_under(value, arm.slow_value) and self._is_approaching(track):
+                is_near = _is_under(value, arm.least_value)
                 action = Action.HOLD if is_near else Action.SCALE
                 limit = arm.least_value if is_near else arm.slow_value
                 turn = 1.0 / value if value > 0.0 else inf
@@ -79,6 +78,10 @@ class Rule:
     def _is_approaching(self, track: ArmTrack) -> bool:
         asked = smallest_singular_value(track.envelope, track.asked_q)
         return asked < smallest_singular_value(track.envelope, track.q) - STILL_M
+
+
+def _is_under(value: float, bound: float) -> bool:
+    return value < bound * (1.0 - ROUNDING)
 
 
 def changes(arm: ArmEnvelope) -> Joints:
