@@ -95,6 +95,10 @@ def _row(*values: Any) -> str:
     return " ".join(number(float(x)) for x in values)
 
 
+def _sample(s: JointSetpoint) -> str:
+    return _row(*s.jp, *s.jv, s.jaw, s.jaw_v)
+
+
 def joint_stops() -> list[str]:
     """Stops of one joint from random motions and from borders between their cases."""
     rng, found = random.Random(0), []
@@ -166,7 +170,7 @@ def arms(name: str) -> list[str]:
             stop = track.stop()
             extents = [x for joint in (0, 1, 2, 5) for x in track.asked_extent(joint)]
             found.append(_row(stop.duration_s, *extents, *track.asked_end()))
-            found += [_row(*stop.at(t).jp, *stop.at(t).jv) for t in (0.02, 0.1)]
+            found += [_sample(stop.at(t)) for t in (0.02, 0.1)]
             found.append(_row(*(x for point in track.asked_points for x in point)))
             columns = arm.chain.jacobian(track.asked_q)
             found.append(_row(*(x for column in columns for x in column)))
@@ -187,7 +191,15 @@ def common_stops() -> list[str]:
             stop = CommonStop(motions, arm.max_acceleration, arm.max_jerk)
             extents = [x for joint in range(7) for x in stop.extent(joint)]
             found.append(_row(stop.duration_s, *stop.end, *extents))
-            found += [_row(*stop.at(t).jp, *stop.at(t).jv) for t in (0.01, 0.03, 0.1, 0.5)]
+            found += [_sample(stop.at(t)) for t in (0.01, 0.03, 0.1, 0.5)]
+    for _ in range(300):
+        part, bend = rng.random(), rng.choice([0.05, 0.2, 0.5, 1.0])
+        motions = [
+            (0.0, part * rng.uniform(-1.0, 1.0) * v, bend * rng.uniform(-1.0, 1.0) * a)
+            for v, a in zip(arm.max_speed, arm.max_acceleration, strict=True)
+        ]
+        stop = CommonStop(motions, arm.max_acceleration, arm.max_jerk)
+        found.append(_row(stop.duration_s, stop.end[0], stop.at(0.02).jv[3]))
     return found
 
 

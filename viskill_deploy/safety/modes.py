@@ -52,13 +52,11 @@ class Modes:
         self.mode = Mode.OFF
         self.latched = Action.PASS
 
-    def observe(self, is_sound: bool, is_homed: bool, is_ready: bool) -> None:
+    def observe(self, is_homed: bool, is_ready: bool) -> None:
         """Before arming, follows the evidence; without it, falls back."""
         if self.mode in WAITING:
-            homed = is_sound and is_homed
-            self.mode = (
-                Mode.READY if homed and is_ready else Mode.HOMED if homed else Mode.CONNECTED
-            )
+            able = Mode.READY if is_ready else Mode.HOMED
+            self.mode = able if is_homed else Mode.CONNECTED
 
     def escalate(self, action: Action) -> None:
         """Latches HOLD or worse; what is latched never gets milder here."""

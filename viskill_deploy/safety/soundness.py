@@ -16,8 +16,7 @@ def are_sound(values: tuple[Any, ...]) -> bool:
 
     Numbers so large that their sum overflows count as not finite.
     """
-    kinds = set(map(type, values))
-    return (kinds == {float} or all(map(_is_float_type, kinds))) and isfinite(sum(values))
+    return all(map(_is_float_type, set(map(type, values)))) and isfinite(sum(values))
 
 
 def _is_float_type(kind: type) -> bool:

@@ -10,7 +10,7 @@ be done about a position limit ahead.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import sqrt
+from math import copysign, sqrt
 
 from viskill_deploy.core.types import Joints, JointSetpoint
 
@@ -54,12 +54,13 @@ class JointStop:
     def extent(self) -> tuple[float, float]:
         """Smallest and largest position on the way, a reversal included."""
         places = [self.end]
-        for _, p, v, a, jerk in self.phases[:1]:
+        if self.phases:
+            _, p, v, a, jerk = self.phases[0]
             places.append(p)
             # Speed and acceleration of opposite sign, and so much acceleration that it must turn:
             # the turning point solves v + a t + jerk t^2 / 2 = 0 (smaller root).
-            if v * a < 0.0 and a * jerk < 0.0 and a * a >= 2.0 * jerk * v:
-                turn = -2.0 * v / (a + _sign(a) * sqrt(a * a - 2.0 * jerk * v))
+            if v * a < 0.0 and a * a >= 2.0 * jerk * v:
+                turn = -2.0 * v / (a + copysign(sqrt(a * a - 2.0 * jerk * v), a))
                 places.append(advance(p, v, a, jerk, turn)[0])
         return min(places), max(places)
 
@@ -221,17 +222,14 @@ def braking(v: float, a: float, max_acceleration: float, max_jerk: float) -> lis
     """
     left = v + a * abs(a) / (2.0 * max_jerk)  # speed that remains if `a` went straight to zero
     if left == 0.0:
-        return [(abs(a) / max_jerk, -_sign(a) * max_jerk)] if a else []
-    side = _sign(left)
+        return [(abs(a) / max_jerk, -copysign(max_jerk, a))] if a else []
+    side = copysign(1.0, left)
     v, a, jerk = side * v, side * a, side * max_jerk  # from here on: brake a positive speed
     # Without a piece of constant acceleration: (a^2 - 2 peak^2) / (2 J) = -v.
     peak = min(sqrt(max(max_jerk * v + a * a / 2.0, 0.0)), max_acceleration)
-    if a < -peak:
-        rise = (-peak - a) / max_jerk
-        hold = side * left / peak
-        return [(rise, jerk), (hold, 0.0), (peak / max_jerk, jerk)]
-    hold = max((v + (a * a - 2.0 * peak * peak) / (2.0 * max_jerk)) / peak, 0.0)
-    return [((a + peak) / max_jerk, -jerk), (hold, 0.0), (peak / max_jerk, jerk)]
+    turn, rise = abs(a + peak) / max_jerk, peak / max_jerk  # to the peak, and from it to zero
+    hold = max((v + 0.5 * (a - peak) * turn - 0.5 * peak * rise) / peak, 0.0)
+    return [(turn, copysign(max_jerk, -jerk * (a + peak))), (hold, 0.0), (rise, jerk)]
 
 
 def advance(p: float, v: float, a: float, jerk: float, t: float) -> Motion:
@@ -241,7 +239,3 @@ def advance(p: float, v: float, a: float, jerk: float, t: float) -> Motion:
         v + t * (a + t * jerk / 2.0),
         a + t * jerk,
     )
-
-
-def _sign(x: float) -> float:
-    return -1.0 if x < 0.0 else 1.0

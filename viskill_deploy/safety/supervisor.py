@@ -7,7 +7,7 @@ be good is bad, and a verdict on one arm stops the whole cell.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import inf, nan
+from math import nan
 
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import (
@@ -73,8 +73,9 @@ class Supervisor:
         self._saw_no_consent = False
         self._pending: list[Verdict] = []
         self._stops: list[ArmStop | CommonStop] = []
-        self._stop_cycles, self._dirty_at = 0, -inf
-        self._cause: tuple[Verdict, ...] = ()
+        self._stop_cycles: int  # since the stop began that goes on, like the two below
+        self._dirty_at: float
+        self._cause: tuple[Verdict, ...]
         self._stopped_by: set[str] = set()
         self._renew_rules()
 
@@ -93,10 +94,9 @@ class Supervisor:
         self._watch_people(state)
         if not self._is_armed:
             self._cycle.state = state
-            sound = self._is_kept("S02")
-            homed = sound and self._is_kept("S23")
-            idle = homed and not any(arm.is_busy is not False for arm in state.arms)
-            self._modes.observe(sound, homed, idle and self._is_kept("S04"))
+            homed = self._is_kept("S02") and self._is_kept("S23")
+            idle = all(arm.is_busy is False for arm in state.arms)
+            self._modes.observe(homed, homed and idle and self._is_kept("S04"))
         return self.mode
 
     def arm(self, state: CellState, now: float) -> tuple[Verdict, ...]:
@@ -199,10 +199,10 @@ class Supervisor:
 
         Does nothing while the arms move or a stop is latched.
         """
-        tracks = self._cycle.tracks
-        still = all(abs(step) <= STILL for track in tracks for step in track.step)
-        if self._is_armed and still and not self._cycle.is_stopping and self._modes.disarm():
-            self._is_armed = False
+        if self._is_armed and not self._cycle.is_stopping:
+            tracks = self._cycle.tracks
+            still = all(abs(step) <= STILL for track in tracks for step in track.step)
+            self._is_armed = not (still and self._modes.disarm())
         return self.mode
 
     def report_fault(self, rule: str, now: float, value: float = nan) -> None:

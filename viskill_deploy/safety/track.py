@@ -22,7 +22,7 @@ NOWHERE: Point = (0.0, 0.0, 0.0)
 
 
 class ArmTrack:
-    """One arm's motion by differences of what was really sent; mutable, one per run.
+    """One arm's motion by differences of what was really sent; mutable. `begin` comes first.
 
     Speeds and accelerations come from the nominal period: setpoints are samples of one time base,
     whatever the jitter of the loop (S05 watches true time over a window).
@@ -91,8 +91,6 @@ class ArmTrack:
         self.recent: deque[JointSetpoint] = deque(
             maxlen=1 + ceil((self.latency + OLDEST_S) / period)
         )
-        rest: Joints = (0.0,) * (len(envelope.max_speed) - 1)
-        self.begin(JointSetpoint(rest, rest, 0.0, 0.0))
 
     def begin(self, setpoint: JointSetpoint) -> None:
         """Starts a record at rest, at what the driver holds."""

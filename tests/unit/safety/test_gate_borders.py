@@ -1,5 +1,6 @@
 """Exact borders, and the shortcuts of rules: how little they look at is a part of what they do."""
 
+import math
 import random
 from dataclasses import replace
 from math import inf
@@ -9,7 +10,16 @@ import pytest
 from gate_rig import CELL, PERIOD, RULES, Rig, words
 
 from viskill_deploy.core.cell_files import Clearance, KeepOut
-from viskill_deploy.core.types import Action, JointSetpoint, ObservationRange, Request
+from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.types import (
+    Action,
+    JointSetpoint,
+    Mode,
+    ObservationRange,
+    Request,
+    Verdict,
+)
+from viskill_deploy.safety import stopping
 from viskill_deploy.safety.cycle import Cycle
 from viskill_deploy.safety.envelope import ROUNDING, CellEnvelope
 from viskill_deploy.safety.reach import Reach
@@ -20,6 +30,9 @@ from viskill_deploy.safety.rules import (
     s29_training_range,
 )
 from viskill_deploy.safety.scaling import scale_or_hold
+from viskill_deploy.safety.stopping import CommonStop
+from viskill_deploy.safety.supervisor import CLEAN_S
+from viskill_deploy.safety.track import ArmTrack
 
 ARM = Rig().gate.envelope.arms[0]
 
@@ -667,3 +680,227 @@ def test_s15_holds_a_tip_off_its_path_beyond_the_border_alone(monkeypatch):
     (verdict,) = rule.judge(cycle)
     assert (verdict.arm, verdict.joint, verdict.action) == (1, -1, Action.HOLD)
     assert (verdict.value, verdict.limit) == (0.0015, 0.001)
+
+
+def common_stop(v: float, a: float) -> CommonStop:
+    """The stop of a 7-joint arm of which the first joint alone moves."""
+    (arm,) = CellEnvelope.of(load_cell("bodytrainer"), PERIOD).arms
+    motions = [(0.0, v, a), *[(0.0, 0.0, 0.0)] * 7]
+    return CommonStop(motions, arm.max_acceleration, arm.max_jerk)
+
+
+@pytest.mark.parametrize(
+    ("v", "a"),
+    [
+        (0.0018788825840989308, -0.13548941937970232),  # would take 2.01 times as long
+        (-0.034517244923488906, 4.929252633022206),  # would go back by 19 times the way
+    ],
+)
+def test_a_clock_that_would_take_or_go_too_long_starts_evenly(v, a):
+    assert common_stop(v, a)._clock.phases[0][3] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("phases", "extent"),
+    [
+        ([(0.0, 0.0, 1.0, 0.0, -4.0), (1.0, 0.0, 0.5, -2.0, 0.0)], (0.0, 3.0)),
+        ([(0.0, 0.0, -1.0, 2.0, 4.0)], (-3.0, 1.0)),
+    ],
+)
+@pytest.mark.parametrize(("v", "c"), [(0.5, 0.25), (-0.5, -0.25), (0.5, -0.25)])
+@pytest.mark.parametrize(("over", "smooth"), [(0.0, True), (1e-9, False)])
+def test_a_joint_is_smooth_under_a_clock_up_to_its_jerk(phases, extent, v, c, over, smooth):
+    clock = SimpleNamespace(phases=phases, extent=lambda: extent)
+    jerk = (0.5 + 0.25 * 3.0) * 4.0 + 3.0 * 0.25 * 1.0 * 2.0  # (|v| + |c| s) s''' + 3 |c| s' s''
+    assert stopping._is_smooth(clock, [(0.0, v, c)], (jerk - over,)) is smooth
+
+
+def test_the_arms_are_at_rest_when_the_last_sample_of_the_stop_was_sent():
+    rig = Rig.running()
+    assert not rig.gate._is_at_rest
+    rig.ask(None)
+    rig.gate._stops = [SimpleNamespace(duration_s=3 * PERIOD, at=s.at) for s in rig.gate._stops]
+    assert rig.gate._stop_cycles == 1
+    assert [rig.ask(rig.stay()).at_rest for _ in range(3)] == [False, True, True]
+
+
+def test_a_gate_that_was_not_armed_has_nothing_at_rest():
+    rig = Rig()
+    gate = rig.gate
+    gate._cycle.is_stopping, gate._stops, gate._stop_cycles = True, [], 5
+    assert not gate._is_at_rest
+    gate._is_armed = True
+    assert gate._is_at_rest
+    gate._cycle.is_stopping = False
+    assert not gate._is_at_rest
+
+
+def test_before_arming_the_gate_refuses_with_s09_and_full_margins():
+    rig = Rig()
+    decision = rig.ask(rig.stay())
+    assert decision.setpoints == ()
+    assert decision.verdicts == (Verdict("S09", Action.HOLD),)
+    assert (decision.speed_scale, decision.passed, decision.at_rest) == (1.0, False, False)
+    assert set(decision.margins) == {1.0}
+
+
+def test_a_report_before_arming_is_told_once():
+    rig = Rig()
+    rig.gate.report_fault("S24", rig.now)
+    told = [[v.rule for v in rig.ask(rig.stay()).verdicts] for _ in range(2)]
+    assert told == [["S24", "S09"], ["S09"]]
+
+
+def test_a_reset_forgets_what_was_reported_before_it():
+    rig = Rig.running()
+    rig.ask(None)
+    rig.rest()
+    rig.gate.report_fault("S24", rig.now)
+    rig.gate.reset(rig.now)
+    assert rig.arm() == ()
+    assert not rig.gate._cycle.is_stopping
+    assert rig.ask(rig.stay()).passed
+
+
+def test_a_reset_alone_ends_the_stop():
+    rig = Rig.running()
+    rig.ask(None)
+    rig.rest()
+    assert rig.gate.latched is Action.HOLD
+    assert rig.gate.reset(rig.now) is Mode.CONNECTED
+    assert not rig.gate._cycle.is_stopping
+    assert rig.gate.latched is Action.PASS
+
+
+@pytest.mark.parametrize(("step", "mode"), [(1e-6, Mode.CONNECTED), (1.1e-6, Mode.RUNNING)])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_arms_that_hardly_move_are_disarmed(step, mode, sign):
+    rig = Rig.running()
+    rig.gate._cycle.tracks[1].step[3] = sign * step
+    assert rig.gate.disarm() is mode
+
+
+def test_a_gate_is_disarmed_only_when_it_is_armed_and_does_not_stop():
+    rig = Rig.running()
+    rig.gate._cycle.is_stopping = True
+    assert rig.gate.disarm() is Mode.RUNNING
+    rig.gate._cycle.is_stopping, rig.gate._is_armed = False, False
+    assert rig.gate.disarm() is Mode.RUNNING
+
+
+@pytest.mark.parametrize("rule_id", ["S01", "S02", "S23"])
+def test_a_margin_of_nothing_is_kept(rule_id):
+    rig = Rig.running()
+    rule = next(rule for rule in rig.gate._instances if rule.id == rule_id)
+    margins = {rule.id: 1.0 for rule in rig.gate._instances}
+    rule.margin = lambda cycle: 0.0
+    decision = rig.ask(rig.stay())
+    assert decision.passed
+    margins.update(zip(rig.gate.rules, decision.margins, strict=True))
+    assert margins[rule_id] == 0.0
+    assert margins["S03"] < 1.0  # all that needs it was asked
+    assert rig.gate._is_kept(rule_id)
+
+
+@pytest.mark.parametrize(("jerk", "rough"), [(1.0, False), (1.0001, True)])
+def test_a_stop_that_is_rougher_than_allowed_is_a_fault(jerk, rough, monkeypatch):
+    rig = Rig.running()
+    ask = ArmTrack.ask
+
+    def asked(track: ArmTrack, setpoint: JointSetpoint) -> None:
+        ask(track, setpoint)
+        track.jerkiest = jerk if track.index == 1 else 0.0
+
+    monkeypatch.setattr(ArmTrack, "ask", asked)
+    decision = rig.ask(None)
+    faults = [v for v in decision.verdicts if v.rule == "S07"]
+    assert decision.action is (Action.FAULT if rough else Action.HOLD)
+    assert faults == [Verdict("S07", Action.FAULT, 1, -1, jerk, 1.0)] * rough
+
+
+@pytest.mark.parametrize(("early", "cleared"), [(0.0, True), (1e-6, False)])
+def test_an_operator_may_clear_a_hold_exactly_when_the_clean_while_is_over(early, cleared):
+    rig = Rig.running()
+    rig.ask(None)
+    rig.rest()
+    gate = rig.gate
+    gate._cycle.now, gate._dirty_at = 0.0, ROUNDING - CLEAN_S + early
+    while early == 0.0 and -gate._dirty_at + ROUNDING > CLEAN_S:
+        gate._dirty_at = math.nextafter(gate._dirty_at, inf)
+    assert early or -gate._dirty_at + ROUNDING == CLEAN_S
+    assert (gate.resume(rig.state(), 0.0) == ()) is cleared
+
+
+def test_consent_that_is_withdrawn_as_the_operator_resumes_is_remembered():
+    rig = Rig.running()
+    rig.ask(None)
+    rig.rest()
+    rig.consent = False
+    assert rig.gate.resume(rig.state(), rig.now) != ()
+    assert rig.gate._saw_no_consent
+
+
+def test_what_a_rule_warns_of_does_not_keep_a_cell_from_arming_nor_end_a_run(monkeypatch):
+    rig = Rig()
+    rule = RULES["S29"]
+    monkeypatch.setattr(rule, "margin", lambda self, cycle: -1.0)
+    monkeypatch.setattr(rule, "judge", lambda self, cycle: iter([Verdict("S29", Action.WARN)]))
+    assert rig.arm() == ()
+    assert rig.ask(rig.stay()).passed
+    rig.ask(None)
+    assert rig.gate._stopped_by == set()
+
+
+def test_a_busy_arm_that_is_not_homed_is_no_readier():
+    rig = Rig()
+    rig.broken[0] = {"is_homed": False}
+    assert rig.gate.connect(rig.state()) is Mode.CONNECTED
+    rig.broken[0] = {"is_busy": True}
+    assert rig.gate.connect(rig.state()) is Mode.HOMED
+    rig.broken[0] = {"measured_jp": (math.nan,) * 6}
+    assert rig.gate.connect(rig.state()) is Mode.CONNECTED
+
+
+def test_an_emergency_stop_waits_for_the_cycle_where_the_arms_are_armed():
+    rig = Rig.running()
+    rig.estop = True
+    rig.gate._watch_people(rig.state())
+    assert rig.gate.latched is Action.PASS
+    assert rig.ask(rig.stay()).action is Action.ESTOP
+
+
+def test_s24_blames_a_joint_beyond_the_border_alone_and_looks_no_farther_than_close():
+    rig = Rig()
+    cycle = at({})
+    rule = RULES["S24"](rig.gate.envelope)
+    parts = [1.0, 1.5]
+    rule._nearest = lambda cycle, arm, track: parts[track.index]
+    (verdict,) = rule.judge(cycle)
+    assert verdict == Verdict("S24", Action.FAULT, 1, -1, 1.5, 1.0)
+
+
+def test_a_request_without_setpoints_stops_the_arms_even_if_no_rule_minds(monkeypatch):
+    rig = Rig.running()
+    monkeypatch.setattr(RULES["S16"], "margin", lambda self, cycle: 1.0)
+    decision = rig.ask(None)
+    assert (decision.action, decision.passed) == (Action.HOLD, False)
+
+
+def test_a_cell_is_not_armed_on_consent_that_is_only_not_denied():
+    rig = Rig()
+    rig.gate.connect(rig.state())
+    rig.said = {"consent": None}
+    assert rig.gate.arm(rig.state(), rig.now) == (Verdict("S22", Action.HOLD),)
+
+
+def test_arming_asks_whether_the_arms_may_stand_where_they_are():
+    rig = Rig()
+    assert rig.arm() == ()
+    for track, held in zip(rig.gate._cycle.tracks, rig.stay(), strict=True):
+        assert track.asked == track.sent == held
+
+
+def test_a_track_keeps_what_its_driver_may_still_report_and_no_more():
+    (first, *_) = Rig().gate._cycle.tracks
+    assert first.latency == 0.02
+    assert first.recent.maxlen == 31  # 120 ms at 250 Hz, and the one that is held now

@@ -6,7 +6,7 @@ from viskill_deploy.safety.modes import CLEARS, LATCHED_MODE, WAITING, Clear, Mo
 
 def armed() -> Modes:
     modes = Modes()
-    modes.observe(True, True, True)
+    modes.observe(True, True)
     modes.arm()
     return modes
 
@@ -21,12 +21,10 @@ def test_every_action_says_who_clears_it():
 @pytest.mark.parametrize(
     ("evidence", "mode"),
     [
-        ((False, False, False), Mode.CONNECTED),
-        ((False, True, True), Mode.CONNECTED),
-        ((True, False, False), Mode.CONNECTED),
-        ((True, False, True), Mode.CONNECTED),
-        ((True, True, False), Mode.HOMED),
-        ((True, True, True), Mode.READY),
+        ((False, False), Mode.CONNECTED),
+        ((False, True), Mode.CONNECTED),
+        ((True, False), Mode.HOMED),
+        ((True, True), Mode.READY),
     ],
 )
 @pytest.mark.parametrize("before", WAITING)
@@ -41,8 +39,8 @@ def test_before_arming_the_mode_is_what_the_evidence_says(before, evidence, mode
 def test_after_arming_evidence_changes_nothing(mode):
     modes = Modes()
     modes.mode = mode
-    modes.observe(False, False, False)
-    modes.observe(True, True, True)
+    modes.observe(False, False)
+    modes.observe(True, True)
     assert modes.mode is mode
 
 

@@ -352,6 +352,7 @@ def test_s07_passes_jerk_at_its_limit_in_spite_of_rounding(period):
     cycle, rule = Cycle(rig.gate.envelope), RULES["S07"](rig.gate.envelope)
     track, limit = cycle.tracks[0], rig.gate.envelope.arms[0].max_jerk
     top = tuple(rig.gate.envelope.arms[0].upper)
+    cycle.tracks[1].begin(rig.stay()[1])
     track.begin(JointSetpoint(top[:6], (0.0,) * 6, top[6], 0.0))
     turns = [j * period**3 for j in limit]
     step, bend, q = [0.0] * 7, [0.0] * 7, list(top)

@@ -40,7 +40,9 @@ def test_a_watchdog_holds_when_the_last_beat_is_old_or_no_time_of_the_past(age):
 
 
 def test_a_beat_is_lost_exactly_at_the_threshold():
-    assert Watchdog().look(1.0, 1.0 + LOST_S, False) is Reaction.HOLD
+    assert 2.0 * LOST_S - LOST_S == LOST_S  # no rounding in this one
+    assert Watchdog().look(LOST_S, 2.0 * LOST_S, False) is Reaction.HOLD
+    assert Watchdog().look(LOST_S, math.nextafter(2.0 * LOST_S, 0.0), False) is Reaction.WAIT
 
 
 def test_nothing_is_expected_of_a_runtime_that_moves_nothing():
