@@ -176,9 +176,9 @@ def _clock_stop(
     change = along / max(squared, TINY)
     bent = [(p, v, a - change * v) for p, v, a in motions]
     clock = _braking_clock(bent, change, max_acceleration, max_jerk)
-    is_short = clock.duration_s <= LONGER * flat.duration_s
-    is_near = max(map(abs, clock.extent())) <= LONGER * flat.end
-    if is_short and is_near and _is_smooth(clock, bent, max_jerk):
+    way = max(map(abs, clock.extent()))
+    longer = max(clock.duration_s / flat.duration_s, way / flat.end)
+    if longer <= LONGER and _is_smooth(clock, bent, max_jerk):
         return clock, tuple(bent)
     return flat, tuple(motions)
 

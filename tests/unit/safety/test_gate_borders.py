@@ -27,6 +27,7 @@ from viskill_deploy.safety.rules import (
     s12_port,
     s14_distance,
     s15_conditioning,
+    s24_driver,
     s29_training_range,
 )
 from viskill_deploy.safety.scaling import scale_or_hold
@@ -272,6 +273,10 @@ def test_s17_measures_how_long_an_arm_is_off_to_the_border():
     parts[0] = [0.5]
     rule.margin(cycle)
     assert (rule._off, rule._far_off) == ([1.375, 0.0], [0.375, 0.0])
+    rule._off = [1.125, 0.0]
+    assert rule.margin(cycle) == 0.5  # down to what it may be: the error counts again
+    rule._off, parts[0] = [0.625, 0.0], [0.75]
+    assert rule.margin(cycle) == 0.25
     for off, far_off, action in ((1.5, 1.0, Action.STOP), (1.5, 1.5, Action.FAULT)):
         rule._off, rule._far_off = [off, 1.0], [far_off, 0.0]
         (verdict,) = rule.judge(cycle)
@@ -421,6 +426,26 @@ def test_s29_holds_when_an_observation_has_been_outside_for_a_second():
     assert seen(3.1, inf) == (-inf, [Action.HOLD])
 
 
+def test_s29_counts_an_observation_that_is_hardly_outside_to_the_very_second():
+    rule = RULES["S29"](Rig().gate.envelope)
+    rule._farthest = lambda observation: 1.02
+    now = 1.0 - 2.0 * ROUNDING
+    while now + ROUNDING < 1.0:
+        now = math.nextafter(now, inf)
+    assert now + ROUNDING == 1.0
+    for at_s, action in ((0.0, Action.WARN), (0.5, Action.WARN), (now, Action.HOLD)):
+        cycle = SimpleNamespace(now=at_s, request=SimpleNamespace(observation=(at_s,)))
+        assert rule.margin(cycle) == pytest.approx(-0.02)
+        assert [v.action for v in rule.judge(cycle)] == [action]
+
+
+def test_s29_is_content_without_an_observation_after_one():
+    rule = RULES["S29"](Rig().gate.envelope)
+    for observation, margin in (((9.0,), -inf), ((), 1.0)):
+        cycle = SimpleNamespace(now=1.0, request=SimpleNamespace(observation=observation))
+        assert rule.margin(cycle) == margin
+
+
 def jaw_rule(**track: object) -> tuple:
     """S30 for one jaw that may be between 0.5 and 1.5 rad and move at 2 rad/s, and its cycle."""
     rule = RULES["S30"](Rig().gate.envelope)
@@ -524,12 +549,14 @@ def test_s14_looks_again_when_what_was_free_may_be_used_up_and_no_sooner():
     cycle.is_first = False
     assert rule.margin(cycle) == 1.0
     assert pair.asked == 1
+    look, looks = rule._look, []
+    rule._look = lambda *args: looks.append(1) or look(*args)
     rule._travelled = lambda track: 0.75  # counts twice: 1.5 and the half of the way to rest
     rule.margin(cycle)
-    assert pair.asked == 1  # 2.0 of 2.0: just not yet
+    assert (pair.asked, looks) == (1, [])  # 2.0 of 2.0: just not yet
     rule._travelled = lambda track: 1e-9
     rule.margin(cycle)
-    assert pair.asked == 2
+    assert (pair.asked, looks) == (2, [1])
 
 
 def test_s14_looks_at_a_pair_only_when_that_is_due_itself():
@@ -857,8 +884,9 @@ def test_a_busy_arm_that_is_not_homed_is_no_readier():
     assert rig.gate.connect(rig.state()) is Mode.CONNECTED
     rig.broken[0] = {"is_busy": True}
     assert rig.gate.connect(rig.state()) is Mode.HOMED
-    rig.broken[0] = {"measured_jp": (math.nan,) * 6}
-    assert rig.gate.connect(rig.state()) is Mode.CONNECTED
+    for measured in ((math.nan,) * 6, None):
+        rig.broken[0] = {"measured_jp": measured}
+        assert rig.gate.connect(rig.state()) is Mode.CONNECTED
 
 
 def test_an_emergency_stop_waits_for_the_cycle_where_the_arms_are_armed():
@@ -904,3 +932,52 @@ def test_a_track_keeps_what_its_driver_may_still_report_and_no_more():
     (first, *_) = Rig().gate._cycle.tracks
     assert first.latency == 0.02
     assert first.recent.maxlen == 31  # 120 ms at 250 Hz, and the one that is held now
+
+
+def test_s24_looks_no_farther_back_than_a_setpoint_that_is_close(monkeypatch):
+    cycle, rule = at({}), RULES["S24"](Rig().gate.envelope)
+    track, arm = cycle.tracks[0], replace(cycle.state.arms[0], jaw_setpoint_jp=0.002)
+    newest, older = (replace(track.sent, jaw=jaw) for jaw in (0.0, 0.002))
+    track.recent.clear()
+    track.recent.extend([older, newest])
+    assert 0.002 / s24_driver.JAW_TOLERANCE == s24_driver.CLOSE
+    far = {0.0: s24_driver.CLOSE, 0.002: 0.0}
+    monkeypatch.setattr(s24_driver, "_distance", lambda arm, sent, by: far[sent.jaw])
+    assert rule._nearest(cycle, arm, track) == s24_driver.CLOSE
+    far[0.0] = 1.0
+    arm = replace(arm, jaw_setpoint_jp=1.0)
+    assert rule._nearest(cycle, arm, track) == pytest.approx(0.998 / s24_driver.JAW_TOLERANCE)
+
+
+def test_a_reach_looks_at_every_joint_for_the_sharpest():
+    (arm,) = CellEnvelope.of(load_cell("bodytrainer"), PERIOD).arms
+    reach, ways = Reach(arm, PERIOD), []
+    for joint in range(8):
+        sharp = [0.5 * (j == joint) for j in range(8)]
+        track = SimpleNamespace(acceleration=sharp, speed=[0.0] * 8, fastest=0.0)
+        ways.append(reach.travel(track))
+    assert min(ways[:7]) == max(ways[:7]) > ways[7] == 0.0
+
+
+def test_a_clock_may_take_exactly_as_long_as_it_may(monkeypatch):
+    v, a = 0.0018788825840989308, -0.13548941937970232
+    monkeypatch.setattr(stopping, "LONGER", inf)
+    clock = common_stop(v, a)._clock
+    assert clock.phases[0][3] != 0.0
+    monkeypatch.setattr(stopping, "LONGER", 0.0)
+    flat = common_stop(v, a)._clock
+    longer = max(clock.duration_s / flat.duration_s, max(map(abs, clock.extent())) / flat.end)
+    monkeypatch.setattr(stopping, "LONGER", longer)
+    assert common_stop(v, a)._clock.phases == clock.phases
+    monkeypatch.setattr(stopping, "LONGER", math.nextafter(longer, 0.0))
+    assert common_stop(v, a)._clock.phases == flat.phases
+
+
+def test_an_operator_may_not_clear_a_hold_before_the_arms_rest():
+    rig = Rig.running()
+    rig.ask(None)
+    rig.gate._stops = [SimpleNamespace(duration_s=5.0, at=stop.at) for stop in rig.gate._stops]
+    for _ in range(round(2.0 * CLEAN_S / PERIOD)):
+        rig.ask(rig.stay())
+    assert rig.gate._cycle.now - rig.gate._dirty_at > CLEAN_S
+    assert rig.gate.resume(rig.state(), rig.now) != ()

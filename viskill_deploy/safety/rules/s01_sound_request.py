@@ -30,7 +30,7 @@ class Rule:
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """One verdict an unsound arm; one for the cell when the shape is wrong."""
-        setpoints = cycle.request.setpoints or ()
+        setpoints: Any = cycle.request.setpoints
         if is_vector(setpoints, self._arms):
             for arm, (setpoint, joints) in enumerate(zip(setpoints, self._joints, strict=True)):
                 if not _is_sound(setpoint, joints):
@@ -41,9 +41,10 @@ class Rule:
             yield Verdict(self.id, Action.FAULT)
 
     def _is_sound(self, request: Request) -> bool:
+        setpoints: Any = request.setpoints
         return (
-            is_vector(request.setpoints, self._arms)
-            and all(map(_is_sound, request.setpoints or (), self._joints))
+            is_vector(setpoints, self._arms)
+            and all(map(_is_sound, setpoints, self._joints))
             and self._has_sound_rest(request)
         )
 

@@ -38,14 +38,14 @@ class Rule:
 
     def margin(self, cycle: Cycle) -> float:
         """One minus the largest error as a part of the tolerance; then time, once that is up."""
-        least = 1.0
+        parts, over = [], []
         for index, arm in enumerate(cycle.state.arms):
             part = max(self._parts(cycle, index, arm))
             self._off[index] = _spent(self._off[index], cycle.dt, part > 1.0)
             self._far_off[index] = _spent(self._far_off[index], cycle.dt, part > FAR)
-            over = 1.0 - self._off[index] / self._time[index]
-            least = min(least, max(1.0 - part, 0.0), over if over < 0.0 else 1.0)
-        return least
+            parts.append(max(1.0 - part, 0.0))
+            over.append(1.0 - self._off[index] / self._time[index])
+        return min(over) if min(over) < 0.0 else min(parts)
 
     def judge(self, cycle: Cycle) -> Iterator[Verdict]:
         """One verdict an arm, on its worst joint: the error against the tolerance."""
