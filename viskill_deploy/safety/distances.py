@@ -45,7 +45,7 @@ def segment_to_box(a: Point, b: Point, lower: Point, upper: Point) -> float:
     before, slope_before = 0.0, _slope(axes, 0.0)
     place = 0.0
     if slope_before < 0.0:
-        for t in sorted({1.0, *map(_in_unit, crossings)}):
+        for t in sorted(set(map(_in_unit, crossings))):
             place, slope = t, _slope(axes, t)
             if slope >= 0.0:
                 place -= (t - before) * slope / (slope - slope_before)
