@@ -35,8 +35,8 @@ from viskill_deploy.sim.tasks.base import Task
 
 LEAD_S = 0.02
 """Against the clock the policy is asked so long before a step ends. It and the planner then think
-while the arms go on, and no control period has to wait for them. What they see is as old when the
-next step begins as it would be if the arms had waited."""
+while the arms go on, and no control period has to wait for them. What they see is as old as this
+when the next step begins."""
 
 
 @dataclass(frozen=True, slots=True)

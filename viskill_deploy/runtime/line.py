@@ -85,6 +85,8 @@ class Coming:
 
     Attributes:
         start: where the present segment ends.
+        links: the line's own but for its `turns`, which are those at `start`.
+        planner: the line's own.
         segment: from there on, once it is planned.
     """
 

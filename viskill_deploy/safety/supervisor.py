@@ -73,7 +73,7 @@ class Supervisor:
         self._saw_no_consent = False
         self._pending: list[Verdict] = []
         self._stops: list[ArmStop | CommonStop] = []
-        self._stop_cycles: int  # since the stop began that goes on, like the two below
+        self._stop_cycles: int  # of the latest stop, like the next two: they begin with it
         self._dirty_at: float
         self._cause: tuple[Verdict, ...]
         self._stopped_by: set[str] = set()
@@ -95,8 +95,8 @@ class Supervisor:
         if not self._is_armed:
             self._cycle.state = state
             homed = self._is_kept("S02") and self._is_kept("S23")
-            idle = all(arm.is_busy is False for arm in state.arms)
-            self._modes.observe(homed, homed and idle and self._is_kept("S04"))
+            idle = homed and all(arm.is_busy is False for arm in state.arms)
+            self._modes.observe(homed, idle and self._is_kept("S04"))
         return self.mode
 
     def arm(self, state: CellState, now: float) -> tuple[Verdict, ...]:

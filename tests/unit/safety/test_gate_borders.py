@@ -608,7 +608,7 @@ def test_s14_judges_what_is_left_to_the_border(before, left, action):
     assert [v.action for v in rule._verdicts] == [action] * (action is not None)
     for verdict in rule._verdicts:
         assert verdict.value == before - left
-        assert verdict.limit == max(before - (1.0 if action is Action.STOP else 2.0), -1.0 - 0.25)
+        assert verdict.limit == before - (1.0 if action is Action.STOP else 2.0)
 
 
 def test_s14_follows_the_jaws_end_where_something_must_keep_clear_of_it():
@@ -887,6 +887,8 @@ def test_a_busy_arm_that_is_not_homed_is_no_readier():
     for measured in ((math.nan,) * 6, None):
         rig.broken[0] = {"measured_jp": measured}
         assert rig.gate.connect(rig.state()) is Mode.CONNECTED
+    for arms in (None, (), (None, None)):
+        assert rig.gate.connect(replace(rig.state(), arms=arms)) is Mode.CONNECTED
 
 
 def test_an_emergency_stop_waits_for_the_cycle_where_the_arms_are_armed():
