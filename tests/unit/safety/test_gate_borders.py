@@ -936,14 +936,15 @@ def test_a_track_keeps_what_its_driver_may_still_report_and_no_more():
     assert first.recent.maxlen == 31  # 120 ms at 250 Hz, and the one that is held now
 
 
-def test_s24_looks_no_farther_back_than_a_setpoint_that_is_close(monkeypatch):
+@pytest.mark.parametrize(("jaw", "joints"), [(0.002, 0.0), (0.0, s24_driver.CLOSE)])
+def test_s24_looks_no_farther_back_than_a_setpoint_that_is_close(monkeypatch, jaw, joints):
     cycle, rule = at({}), RULES["S24"](Rig().gate.envelope)
-    track, arm = cycle.tracks[0], replace(cycle.state.arms[0], jaw_setpoint_jp=0.002)
-    newest, older = (replace(track.sent, jaw=jaw) for jaw in (0.0, 0.002))
+    track, arm = cycle.tracks[0], replace(cycle.state.arms[0], jaw_setpoint_jp=jaw)
+    newest, older = (replace(track.sent, jaw=x) for x in (0.0, 0.002))
     track.recent.clear()
     track.recent.extend([older, newest])
     assert 0.002 / s24_driver.JAW_TOLERANCE == s24_driver.CLOSE
-    far = {0.0: s24_driver.CLOSE, 0.002: 0.0}
+    far = {0.0: joints, 0.002: 0.0}
     monkeypatch.setattr(s24_driver, "_distance", lambda arm, sent, by: far[sent.jaw])
     assert rule._nearest(cycle, arm, track) == s24_driver.CLOSE
     far[0.0] = 1.0
