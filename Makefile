@@ -32,7 +32,8 @@ unit: $(VENV)/.dev
 	rm -f .coverage .coverage.*
 	OMP_NUM_THREADS=1 $(BIN)/coverage run -m pytest -n 2 --dist worksteal \
 	  -m "not slow and not faults and not ros1 and not ros2 and not quiet"
-	OMP_NUM_THREADS=1 $(BIN)/pytest -m "quiet and not slow" tests/integration
+	OMP_NUM_THREADS=1 $(BIN)/pytest -m "quiet and not slow and not ros2" tests/integration
+	OMP_NUM_THREADS=1 .venv-ros2/bin/python -m pytest -m "quiet and not slow and ros2" tests/integration
 	for ros in ros1 ros2; do for part in "$(CONFORMANCE)" "tests/ros --ignore=$(CONFORMANCE)"; do \
 	  OMP_NUM_THREADS=1 .venv-$$ros/bin/python -m coverage run -m pytest \
 	    -m $$ros $$part || exit; done; done

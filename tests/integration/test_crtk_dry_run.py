@@ -33,11 +33,12 @@ def test_a_bundle_does_its_task_on_stepped_dvrk_arms_at_200_hz(tmp_path: Path):
 
 @pytest.mark.quiet
 @pytest.mark.timeout(900)
-def test_two_episodes_through_the_wire_against_the_clock(tmp_path: Path):
+@pytest.mark.parametrize("transport", ["dds", pytest.param("ros2", marks=pytest.mark.ros2)])
+def test_two_episodes_through_the_wire_against_the_clock(tmp_path: Path, transport: str):
     """A machine that is too busy holds the arms (S18, S20), which is no fault of the wire."""
     done = 0
     for trial in range(TRIALS):
-        network = ("--transport", "dds", "--rate", "200", "--seed", str(trial))
+        network = ("--transport", transport, "--rate", "200", "--seed", str(trial))
         run = dry_run(tmp_path / str(trial), "--realtime", *network)
         figures = json.loads(run.stdout)
         way = figures["on_the_way"]

@@ -42,15 +42,15 @@ def segment_to_box(a: Point, b: Point, lower: Point, upper: Point) -> float:
     """
     axes = [(p, q - p, low, high) for p, q, low, high in zip(a, b, lower, upper, strict=True)]
     crossings = [(wall - p) / u for p, u, *walls in axes if u for wall in walls]
-    before, slope_before = 0.0, _slope(axes, 0.0)
     place = 0.0
-    if slope_before < 0.0:
+    slope = _slope(axes, place)
+    if slope < 0.0:
         for t in sorted(set(map(_in_unit, crossings))):
+            before, slope_before = place, slope
             place, slope = t, _slope(axes, t)
             if slope >= 0.0:
                 place -= (t - before) * slope / (slope - slope_before)
                 break
-            before, slope_before = t, slope
     return sqrt(sum([_outside(p + place * u, low, high) ** 2 for p, u, low, high in axes]))
 
 
