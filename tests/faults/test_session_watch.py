@@ -87,6 +87,22 @@ def test_the_heart_beats_while_the_gate_stops_the_arms() -> None:
     assert listener.is_released
 
 
+def test_arms_that_do_not_come_to_rest_are_left_to_the_watchdog(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It hears no beat from then on, and was not told to expect none."""
+    session, _, listener = moving()
+    monkeypatch.setattr("viskill_deploy.runtime.session.STOP_S", 0.02)
+    session.line.fail("on purpose")
+    session.come_to_rest()
+    beats = len(listener.beats)
+    assert session.gate.mode is Mode.HOLDING
+    assert not listener.is_released
+    for _ in range(5):
+        session.cycle()
+    assert len(listener.beats) == beats
+
+
 def test_arms_that_are_held_are_looked_at_while_a_long_plan_is_made_and_go_on_after_it() -> None:
     """Against the clock. Nobody waits for a heartbeat meanwhile: a plan makes looks late."""
     session, driver, listener = moving(stepped=False)

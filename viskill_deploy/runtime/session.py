@@ -295,19 +295,24 @@ class Session:
         return against
 
     def come_to_rest(self, result: EpisodeResult | None = None) -> None:
-        """After the gate has stepped in: lets its stop run out, and notes the cause."""
+        """After the gate has stepped in: lets its stop run out, and notes the cause.
+
+        From arms that do not come to rest in time the watchdog takes the power: no beat is its cue.
+        """
         deadline = self.driver.clock.now() + STOP_S
         while self.driver.clock.now() < deadline and not self._at_rest:
             self.cycle()
         self.cycle()  # the last sample of the stop once more: the record ends at rest
-        self._stand_easy()
+        self._stand_easy(self._at_rest)
         if result is not None:
             result.stopped_by = self.cause
             result.reason = self.trouble or self.line.fault
 
-    def _stand_easy(self) -> None:
+    def _stand_easy(self, is_at_rest: bool = True) -> None:
+        """Needs no punctuality from here on; arms that may still move are left to the watchdog."""
         self._is_moving = False
-        self.driver.watch.release()
+        if is_at_rest:
+            self.driver.watch.release()
         if not self.driver.capabilities.stepped:
             realtime.pause()
 
