@@ -18,7 +18,16 @@ from viskill_deploy.calibrate.programme import choose_poses
 from viskill_deploy.calibrate.study import poses_for
 from viskill_deploy.calibrate.topic_tips import TopicTips, topics_of
 from viskill_deploy.calibrate.truths import hidden_robot
-from viskill_deploy.cli.serve import TransportChoice
+from viskill_deploy.cli.reaching import (
+    CanFile,
+    Carrier,
+    Domain,
+    Interface,
+    Reached,
+    RobotChoice,
+    TransportChoice,
+    Yes,
+)
 from viskill_deploy.cli.sources import Truth
 from viskill_deploy.cli.terminal import Terminal
 from viskill_deploy.cli.touching import (
@@ -44,7 +53,7 @@ from viskill_deploy.runtime.execution import FIRST_SPEED
 from viskill_deploy.runtime.interrupting import interruptible
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.readiness import look_at_robot
-from viskill_deploy.runtime.robots import RobotName, RobotOptions, connected
+from viskill_deploy.runtime.robots import RobotOptions, connected
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.sim.tasks.base import load_task
 from viskill_deploy.sim.tracker import SimulatedTracker, TrackerOptions
@@ -60,16 +69,6 @@ class Source(enum.StrEnum):
     TOUCH = "touch"
 
 
-class RobotChoice(enum.Enum):
-    """What the robot is reached by."""
-
-    LOOPBACK = "loopback"
-    CAN = "can"
-    CRTK = "crtk"
-
-    value: RobotName
-
-
 def command(
     folder: Annotated[Path, typer.Argument(help="Where the measurements go, a file an arm.")],
     cell: Annotated[
@@ -83,35 +82,22 @@ def command(
             "brings the tips to points of the board, nothing is sent to any arm."
         ),
     ] = Source.TRACKER,
-    driver: Annotated[
-        RobotChoice, typer.Option(help="What the robot is reached by; loopback: simulated.")
-    ] = RobotChoice.LOOPBACK,
+    driver: Reached = RobotChoice.LOOPBACK,
     samples: Annotated[int, typer.Option(min=8, help="Rows of the tracker, an arm.")] = 300,
     points: Annotated[int, typer.Option(help="Points to touch, an arm; at least 8.")] = TOUCHES,
     seed: Annotated[int, typer.Option(min=0, help="Of poses, and of simulated noise.")] = 0,
     tracker: Annotated[
         str, typer.Option(help="Topics of a tracker of the tips, PoseStamped in the task frame.")
     ] = "/tracker/{arm}/measured_cp",
-    transport: Annotated[
-        TransportChoice, typer.Option(help="What carries CRTK and the tracker's points.")
-    ] = TransportChoice.AUTO,
-    domain: Annotated[
-        int | None, typer.Option(help="ROS 2 domain; by default ROS_DOMAIN_ID, or 0.")
-    ] = None,
-    interface: Annotated[
-        str, typer.Option(help="Address of this machine on the robot's network, if it needs one.")
-    ] = "",
-    can: Annotated[
-        str, typer.Option(help="CAN file, by name or path; that of the cell's name by default.")
-    ] = "",
+    transport: Carrier = TransportChoice.AUTO,
+    domain: Domain = None,
+    interface: Interface = "",
+    can: CanFile = "",
     speed: Annotated[
         float | None,
         typer.Option(min=0.05, max=1.0, help="Part of full speed: 0.25, or 1 on the loopback."),
     ] = None,
-    yes: Annotated[
-        bool,
-        typer.Option("--yes", help="Do not ask for the name; the consent pedal is still asked."),
-    ] = False,
+    yes: Yes = False,
     truth: Truth = "",
     noise: Annotated[
         float | None,

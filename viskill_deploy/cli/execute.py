@@ -12,6 +12,16 @@ import typer
 from rich.console import Console
 
 from viskill_deploy.calibrate.truths import hidden_robot
+from viskill_deploy.cli.reaching import (
+    CanFile,
+    Carrier,
+    Domain,
+    Interface,
+    Reached,
+    RobotChoice,
+    TransportChoice,
+    Yes,
+)
 from viskill_deploy.cli.run_folder import new_folder, show, written_report
 from viskill_deploy.cli.sources import Calibration, Inputs, Robot, SceneFile, Truth
 from viskill_deploy.cli.terminal import Terminal
@@ -34,7 +44,7 @@ from viskill_deploy.runtime.operator import typed
 from viskill_deploy.runtime.poses import PoseLimits, Things
 from viskill_deploy.runtime.preflight import Prepared, Sources, prepare
 from viskill_deploy.runtime.recovering import recover
-from viskill_deploy.runtime.robots import RobotName, RobotOptions, connected, things_of
+from viskill_deploy.runtime.robots import RobotOptions, connected, things_of
 from viskill_deploy.sim.world import WorldOptions
 
 EXAMPLE = (
@@ -44,25 +54,6 @@ EXAMPLE = (
 
 HEIGHT = re.compile(r"([0-9]+(?:\.[0-9]+)?) ?(mm|cm|m)")
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-
-
-class RobotChoice(enum.Enum):
-    """What the robot is reached by."""
-
-    LOOPBACK = "loopback"
-    CAN = "can"
-    CRTK = "crtk"
-
-    value: RobotName
-
-
-class TransportChoice(enum.Enum):
-    """What carries CRTK."""
-
-    AUTO = "auto"
-    ROS1 = "ros1"
-    ROS2 = "ros2"
-    DDS = "dds"
 
 
 class ModeName(enum.Enum):
@@ -81,9 +72,7 @@ class StepName(enum.Enum):
 
 def command(
     bundle: Annotated[Path, typer.Argument(help="Folder of a policy bundle.")],
-    driver: Annotated[
-        RobotChoice, typer.Option(help="What the robot is reached by; loopback: simulated.")
-    ] = RobotChoice.LOOPBACK,
+    driver: Reached = RobotChoice.LOOPBACK,
     robot: Robot = "",
     calibration: Calibration = None,
     scene: SceneFile = None,
@@ -97,15 +86,9 @@ def command(
     pose_age: Annotated[
         float, typer.Option(min=0.02, max=2.0, help="A pose older than this holds the arms, s.")
     ] = 0.5,
-    transport: Annotated[
-        TransportChoice, typer.Option(help="What carries CRTK and the tracker's poses.")
-    ] = TransportChoice.AUTO,
-    domain: Annotated[
-        int | None, typer.Option(help="ROS 2 domain; by default ROS_DOMAIN_ID, or 0.")
-    ] = None,
-    interface: Annotated[
-        str, typer.Option(help="Address of this machine on the robot's network, if it needs one.")
-    ] = "",
+    transport: Carrier = TransportChoice.AUTO,
+    domain: Domain = None,
+    interface: Interface = "",
     mode: Annotated[
         ModeName, typer.Option(help="Plan first and stream, or ask the policy at every step.")
     ] = ModeName.PLAN,
@@ -134,14 +117,9 @@ def command(
         bool, typer.Option("--realtime", help="Loopback in its own process, against the clock.")
     ] = False,
     truth: Truth = "",
-    can: Annotated[
-        str, typer.Option(help="CAN file, by name or path; that of the cell's name by default.")
-    ] = "",
+    can: CanFile = "",
     inputs: Inputs = "",
-    yes: Annotated[
-        bool,
-        typer.Option("--yes", help="Do not ask for the name; the consent pedal is still asked."),
-    ] = False,
+    yes: Yes = False,
     output: Annotated[Path | None, typer.Option(help="Folder for report and recording.")] = None,
     video: Annotated[bool, typer.Option(help="Render the run.")] = True,
     recover_: Annotated[

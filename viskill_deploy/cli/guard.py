@@ -11,8 +11,8 @@ from typing import Annotated
 
 import typer
 
+from viskill_deploy.cli.reaching import Carrier, Domain, Interface, TransportChoice
 from viskill_deploy.cli.run_folder import new_folder
-from viskill_deploy.cli.serve import TransportChoice
 from viskill_deploy.cli.sources import Calibration
 from viskill_deploy.core import realtime
 from viskill_deploy.core.calibration_files import is_simulated
@@ -37,15 +37,9 @@ def command(
         str, typer.Option(help="Cell of the robot: a name in robots/cells, or a TOML file's path.")
     ] = "bipegtransfer",
     calibration: Calibration = None,
-    transport: Annotated[
-        TransportChoice, typer.Option(help="What the robot speaks.")
-    ] = TransportChoice.AUTO,
-    domain: Annotated[
-        int | None, typer.Option(min=0, max=232, help="The robot's ROS domain.")
-    ] = None,
-    interface: Annotated[
-        str, typer.Option(help="Address of this machine on the robot's network.")
-    ] = "",
+    transport: Carrier = TransportChoice.AUTO,
+    domain: Domain = None,
+    interface: Interface = "",
     prefix: Annotated[
         str, typer.Option(help='Clients find the arms under it, such as "/guarded/PSM1".')
     ] = "guarded",

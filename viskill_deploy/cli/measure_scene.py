@@ -25,7 +25,7 @@ from viskill_deploy.calibrate.touching import touch
 from viskill_deploy.calibrate.truths import hidden_robot
 from viskill_deploy.cli import touching
 from viskill_deploy.cli.poses_found import mean_facts, mean_words, pose_facts, pose_words
-from viskill_deploy.cli.serve import TransportChoice
+from viskill_deploy.cli.reaching import Carrier, Domain, Interface, TransportChoice
 from viskill_deploy.cli.sources import Calibration, Truth
 from viskill_deploy.cli.touching import TOUCH_NOISE_M, TouchedBy, TouchedRobot, touched_by
 from viskill_deploy.core.calibration_files import calibrated, is_simulated, read_calibration
@@ -80,9 +80,9 @@ def command(
     ] = 0.0005,
     accuracy_rad: Annotated[float, typer.Option(min=0, help="The same of a turn, rad.")] = 0.01,
     driver: touching.Driver = TouchedRobot.LOOPBACK,
-    transport: touching.Transport = TransportChoice.AUTO,
-    domain: touching.Domain = None,
-    interface: touching.Interface = "",
+    transport: Carrier = TransportChoice.AUTO,
+    domain: Domain = None,
+    interface: Interface = "",
     truth: Truth = "",
     noise: Annotated[
         float, typer.Option(min=0, help="Of a simulated touch, a coordinate, m.")

@@ -9,6 +9,7 @@ import typer
 
 from viskill_deploy.calibrate.truths import hidden_robot
 from viskill_deploy.cli import serve_can
+from viskill_deploy.cli.reaching import TransportChoice
 from viskill_deploy.cli.sources import Truth
 from viskill_deploy.core import realtime
 from viskill_deploy.core.clock import MonotonicClock
@@ -28,15 +29,6 @@ EXAMPLE = "Example: viskill serve crtk --transport dds --arms PSM1,PSM2 --cell b
 app = typer.Typer(
     no_args_is_help=True, help="Serve a simulated robot that other programs can talk to."
 )
-
-
-class TransportChoice(enum.StrEnum):
-    """What carries CRTK."""
-
-    AUTO = "auto"
-    ROS1 = "ros1"
-    ROS2 = "ros2"
-    DDS = "dds"
 
 
 class VersionChoice(enum.Enum):

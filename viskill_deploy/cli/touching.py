@@ -22,7 +22,6 @@ from viskill_deploy.calibrate.resting import Arms
 from viskill_deploy.calibrate.simulated_hand import HandOptions, SimulatedHand
 from viskill_deploy.calibrate.touching import Hand, touch
 from viskill_deploy.calibrate.truths import HiddenRobot
-from viskill_deploy.cli.serve import TransportChoice
 from viskill_deploy.cli.terminal import Terminal
 from viskill_deploy.core.calibration_files import insist_simulated
 from viskill_deploy.core.description import CellDescription
@@ -48,9 +47,6 @@ Driver = Annotated[
     TouchedRobot,
     typer.Option(help="Arms to listen to; loopback: simulated ones, moved by a simulated person."),
 ]
-Transport = Annotated[TransportChoice, typer.Option(help="What carries CRTK.")]
-Domain = Annotated[int | None, typer.Option(min=0, max=232, help="The robot's ROS domain.")]
-Interface = Annotated[str, typer.Option(help="Address of this machine on the robot's network.")]
 
 
 @dataclass(frozen=True)
