@@ -86,7 +86,7 @@ def _guarded(
     """Guards until Ctrl-C."""
     with Recorder(folder / "recording", cell, driver.period_s) as recorder:
         recorder.wait_until_open()
-        guard = Guard(cell, driver, client, recorder, prefix, _tell, driver.recover)
+        guard = Guard(cell, driver, client, recorder, prefix, _tell, driver.recover, rule_label)
         _say_what_is_where(guard, prefix, folder)
         threading.Thread(target=_hear_resets, args=(guard,), daemon=True).start()
         realtime.prepare()

@@ -65,8 +65,10 @@ class Guard:
         transport: where the client is.
         recorder: where every cycle is recorded.
         prefix: stands in front of the arms' names towards the client.
-        tell: called with new verdicts and the mode.
+        tell: called with new verdicts and the mode; clients are told them on `warning`, and a
+            mode without verdicts on `status`.
         recover: puts a robot right that was in FAULT, after a person has looked at it.
+        named: words for a rule's id.
 
     Attributes:
         gate: the gate.
@@ -84,13 +86,15 @@ class Guard:
         prefix: str = "guarded",
         tell: Callable[[Sequence[Verdict], Mode], None] = _silent,
         recover: Callable[[], None] = lambda: None,
+        named: Callable[[str], str] = str,
     ) -> None:
         self.driver, self.gate = driver, Supervisor(cell, driver.period_s)
         self._delivery = Delivery(driver, self.gate)
         self._bell = threading.Event()
         self.arms = [OfferedArm(arm, transport, prefix, self._bell.set) for arm in cell.arms]
         self._stream = ClientStream(self.arms, driver.period_s)
-        self._recorder, self._tell, self._links = recorder, tell, CellLinks(cell)
+        self._recorder, self._show, self._links = recorder, tell, CellLinks(cell)
+        self._named = named
         self._recover = recover
         self._state = driver.state()
         self._last_s, self._told = driver.clock.now(), set[str]()
@@ -213,6 +217,14 @@ class Guard:
             self._tell(decision.verdicts, decision.mode)
         self._told_mode = decision.mode
         self._told = rules if decision.passed else known | rules
+
+    def _tell(self, verdicts: Sequence[Verdict], mode: Mode) -> None:
+        """Says to people and clients what the gate has said."""
+        self._show(verdicts, mode)
+        said = [f"{self._named(v.rule)}: {v.action.name}" for v in verdicts]
+        text = f"gate {mode.value}{': ' * bool(said)}{'; '.join(dict.fromkeys(said))}"
+        for arm in self.arms:
+            arm.tell(text, bool(said))
 
     def _read(self, now: float) -> CellState:
         """The newest state; the client is told when the driver complains."""

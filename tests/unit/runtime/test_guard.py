@@ -15,7 +15,7 @@ from silent_recorder import SilentRecorder
 
 from viskill_deploy.core.calibration_files import calibrated
 from viskill_deploy.core.description import CellDescription, load_cell
-from viskill_deploy.core.types import Mode, Verdict
+from viskill_deploy.core.types import Action, Mode, Verdict
 from viskill_deploy.drivers.crtk.inproc import Inproc
 from viskill_deploy.drivers.crtk.messages import (
     Empty,
@@ -28,7 +28,11 @@ from viskill_deploy.drivers.crtk.messages import (
     Time,
 )
 from viskill_deploy.drivers.crtk.simulated import SteppedCrtk
+from viskill_deploy.drivers.crtk.topics import ARM
 from viskill_deploy.motion.links import CellLinks
+from viskill_deploy.observe.labels import rule_label
+from viskill_deploy.observe.reading import read_recording
+from viskill_deploy.observe.recording import Recorder
 from viskill_deploy.runtime.guard import Guard
 from viskill_deploy.sim.tasks.base import load_task
 from viskill_deploy.sim.world import WorldOptions
@@ -51,6 +55,8 @@ class Bench:
     out: dict[str, Any]
     states: dict[str, OperatingState] = field(default_factory=dict)
     errors: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    statuses: list[str] = field(default_factory=list)
     received: dict[str, list[JointState]] = field(default_factory=dict)
     told: list[tuple[tuple[str, ...], Mode]] = field(default_factory=list)
     poses: dict[str, PoseStamped] = field(default_factory=dict)
@@ -106,7 +112,8 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     def tell(verdicts: Sequence[Verdict], mode: Mode) -> None:
         bench.told.append((tuple(v.rule for v in verdicts), mode))
 
-    guard = Guard(cell, driver, Inproc(driver.exchange), SilentRecorder(), tell=tell)
+    recorder = SilentRecorder()
+    guard = Guard(cell, driver, Inproc(driver.exchange), recorder, tell=tell, named=rule_label)
     out = {}
     for arm in ARMS:
         for name, kind in (
@@ -131,9 +138,17 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
             PoseStamped,
             lambda word, _, arm=arm: bench.poses.update({arm: word}),
         )
-        client.subscribe(
-            f"/guarded/{arm}/error", String, lambda word, _: bench.errors.append(word.data)
-        )
+        for name, words in (
+            ("error", bench.errors),
+            ("warning", bench.warnings),
+            ("status", bench.statuses),
+        ):
+            client.subscribe(
+                f"/guarded/{arm}/{name}",
+                String,
+                lambda word, _, words=words: words.append(word.data),
+                is_latched=True,
+            )
         for name in ("servo_jp", "jaw/servo_jp"):
             robot.subscribe(
                 f"/{arm}/{name}",
@@ -191,6 +206,38 @@ def test_setpoints_pass_bit_for_bit_at_the_moment_they_come(bench: Bench) -> Non
     assert bench.held("PSM1")[0] == pytest.approx(start["PSM1"][0], abs=1e-6)
 
 
+def test_all_that_dvrks_client_wants_is_there(bench: Bench) -> None:
+    client = Inproc(bench.driver.exchange)
+    for topic in ARM:
+        name = f"/guarded/PSM1/{topic.name}"
+        if topic.publisher == "server":
+            client.subscribe(name, topic.message, lambda *_: None)
+        else:
+            client.publisher(name, topic.message)
+        assert client.peers(name) > 0, name
+
+
+def test_every_cycle_and_every_verdict_is_recorded(bench: Bench, tmp_path: Path) -> None:
+    with Recorder(tmp_path / "recording", CELL, PERIOD_S) as recorder:
+        recorder.wait_until_open()
+        bench.guard._recorder = recorder
+        bench.ready()
+        start = bench.held("PSM1")
+        for k in range(1, 21):
+            bench.stream("PSM1", *swing(start, k))
+            bench.step()
+        bench.stream("PSM1", [nan, *start[1:]])
+        bench.step(40)
+    recording = read_recording(tmp_path / "recording")
+    assert recording.complete
+    held = recording.joints["/PSM1/setpoint_js"].position
+    for k in range(1, 21):
+        assert (held[:, 0] == swing(start, k)[0][0]).any(), "as the client has sent it"
+    assert np.isfinite(held).all()
+    verdicts = {(row.rule, row.action) for row in recording.verdicts}
+    assert ("S01", Action.FAULT) in verdicts
+
+
 def test_a_step_of_28_degrees_is_held_until_a_person_clears_it(bench: Bench) -> None:
     bench.ready()
     start = bench.held("PSM1")
@@ -199,6 +246,8 @@ def test_a_step_of_28_degrees_is_held_until_a_person_clears_it(bench: Bench) -> 
     assert bench.guard.gate.mode is Mode.HOLDING
     assert bench.states["PSM1"].state == bench.states["PSM2"].state == "PAUSED"
     assert bench.held("PSM1") == pytest.approx(start, abs=1e-4)
+    assert any("tip speed (S10): STOP" in said for said in bench.warnings), bench.warnings
+    assert {said[:4] for said in bench.warnings} == set(ARMS)
     bench.agree()
     bench.step(50)
     assert bench.guard.gate.mode is Mode.HOLDING, "its tip would have moved too fast: S10 ends runs"
@@ -221,6 +270,7 @@ def test_a_hold_goes_on_when_the_operator_presses_the_pedal_anew(bench: Bench) -
     bench.agree()
     bench.step(50)
     assert bench.guard.gate.mode is Mode.RUNNING
+    assert bench.statuses[-1] == "PSM2: gate running"
     bench.received.clear()
     for k in range(1, 20):
         bench.stream("PSM1", *swing(start, k))

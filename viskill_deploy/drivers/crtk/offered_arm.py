@@ -25,7 +25,7 @@ from viskill_deploy.drivers.crtk.messages import (
     StringStamped,
     Time,
 )
-from viskill_deploy.drivers.crtk.topics import topic
+from viskill_deploy.drivers.crtk.topics import ARM, topic
 from viskill_deploy.drivers.crtk.transport import Transport
 
 REST: Final[Joints] = (0.0,) * 6
@@ -37,9 +37,13 @@ READ_S: Final = 0.01
 ERROR_S: Final = 2.0
 """What is refused again and again is told this often."""
 
-REFUSED: Final = ("servo_jr", "servo_jf", "move_jp", "move_jr", "move_cp", "jaw/move_jp", "free")
-PERIODIC: Final = ("measured_js", "setpoint_js", "jaw/measured_js", "jaw/setpoint_js")
-POSES: Final = ("measured_cp", "setpoint_cp", "local/measured_cp", "local/setpoint_cp")
+HEARD: Final = ("state_command", "hold", "servo_jp", "servo_cp", "jaw/servo_jp")
+REFUSED: Final = tuple(t.name for t in ARM if t.publisher == "client" and t.name not in HEARD)
+"""All else that dVRK's client may send: it wants somebody at the other end of each."""
+
+SAID: Final = tuple(t.name for t in ARM if t.publisher == "server")
+"""All that dVRK's client listens to, for the same reason. Forces, twists and Jacobians are never
+said: ask the robot for them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +110,7 @@ class OfferedArm:
         self._told = Condition("", False, False)
         self._stamp_ns = self._last_ns = 0
         self._read_due_s = self._repeat_due_s = self._error_due_s = 0.0
-        names = (*PERIODIC, *POSES, "operating_state", "error", "tool_type")
-        self._publish = {name: self._publisher(name) for name in names}
+        self._publish = {name: self._publisher(name) for name in SAID}
         self._publish["tool_type"](String(self._tool))
         self._listen()
 
@@ -175,6 +178,10 @@ class OfferedArm:
         if now >= self._error_due_s:
             self._error_due_s = now + ERROR_S
             self._publish["error"](String(f"{self.name}: {text}"))
+
+    def tell(self, text: str, is_warning: bool) -> None:
+        """Says what the gate does, on `warning` or on `status`."""
+        self._publish["warning" if is_warning else "status"](String(f"{self.name}: {text}"))
 
     def _read(self, state: ArmState, stamp: Time) -> None:
         head, names, jaw, say = Header(stamp), self._joints, ("jaw",), self._publish
