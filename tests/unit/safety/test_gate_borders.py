@@ -936,6 +936,13 @@ def test_a_track_keeps_what_its_driver_may_still_report_and_no_more():
     assert first.recent.maxlen == 31  # 120 ms at 250 Hz, and the one that is held now
 
 
+def test_a_track_that_begins_anew_has_sent_nothing_before():
+    (first, *_), setpoint = Rig().gate._cycle.tracks, Rig().stay()[0]
+    for jaw in (0.1, 0.2, 0.3):
+        first.begin(replace(setpoint, jaw=jaw))
+    assert [sent.jaw for sent in first.recent] == [0.3]
+
+
 @pytest.mark.parametrize(("jaw", "joints"), [(0.002, 0.0), (0.0, s24_driver.CLOSE)])
 def test_s24_looks_no_farther_back_than_a_setpoint_that_is_close(monkeypatch, jaw, joints):
     cycle, rule = at({}), RULES["S24"](Rig().gate.envelope)
