@@ -35,12 +35,13 @@ class ClientStream:
 
     def __init__(self, arms: Sequence[OfferedArm], period_s: float) -> None:
         self._arms, self._period_s = arms, period_s
+        self._free = (True,) * len(arms)  # a jaw that opens is the client's wish
         self.begin(())
 
     def begin(self, held: Setpoints) -> None:
         """Starts at rest, at what the arms hold; what waits is of before."""
         self.sent, self._way = held, 0.0
-        self._expected: frozenset[tuple[int, str]] = frozenset()
+        self._expected = 0
         self.forget()
 
     @property
@@ -51,7 +52,7 @@ class ClientStream:
     @property
     def is_waiting(self) -> bool:
         """Whether anything has come that was not looked at."""
-        return any(arm.waiting for arm in self._arms)
+        return self._waiting() > 0
 
     def is_due(self, now: float, since_s: float) -> bool:
         """Whether the gate has to look: all of one moment is there, or time is up.
@@ -61,10 +62,11 @@ class ClientStream:
             since_s: time since it looked last.
         """
         waiting = self._waiting()
-        if waiting:
-            first = min(arrival for arm in self._arms for arrival in arm.arrivals)
-            return waiting >= self._expected or now >= first + TOGETHER_S
-        return since_s >= self.patience_s
+        if not waiting:
+            return since_s >= self.patience_s
+        if waiting & self._expected == self._expected:
+            return True
+        return now >= min([at for arm in self._arms for at in arm.arrivals]) + TOGETHER_S
 
     @property
     def patience_s(self) -> float:
@@ -99,8 +101,12 @@ class ClientStream:
         self._way = sum([dist((*a.jp, a.jaw), (*b.jp, b.jaw)) for a, b in pairs])
         self.sent = sent
 
-    def _waiting(self) -> frozenset[tuple[int, str]]:
-        return frozenset((i, kind) for i, arm in enumerate(self._arms) for kind in arm.waiting)
+    def _waiting(self) -> int:
+        """Which streams have a setpoint that waits: two bits an arm."""
+        waiting = 0
+        for arm in self._arms:
+            waiting = waiting << 2 | bool(arm.servo) << 1 | bool(arm.jaw)
+        return waiting
 
     def _asked(self) -> list[Request]:
         pairs = zip(self._arms, self.sent, strict=True)
@@ -110,23 +116,27 @@ class ClientStream:
             return [Request(None, failure=f"{missing} setpoints of the client were lost")]
         n, time_s = missing + 1, (missing + 1) * self._period_s
         taken = [a.setpoint(last, time_s) for a, last in zip(asked, self.sent, strict=True)]
-        ends = list(zip(self.sent, taken, strict=True))
-        rows = [tuple(_between(a, b, k / n, time_s) for a, b in ends) for k in range(1, n)]
-        free = (True,) * len(self._arms)  # a jaw that opens is the client's wish
-        return [Request(row, may_open_jaw=free) for row in (*rows, tuple(taken))]
+        requests = [Request(tuple(taken), may_open_jaw=self._free)]
+        if missing:
+            ends = list(zip(self.sent, taken, strict=True))
+            rows = [tuple([_between(a, b, k / n, time_s) for a, b in ends]) for k in range(1, n)]
+            requests[:0] = [Request(row, may_open_jaw=self._free) for row in rows]
+        return requests
 
     def _missing(self, asked: Sequence[Asked]) -> int:
         """How many setpoints of a moving client were lost: its stamps and its way both say so.
 
         The stamps of a client that wakes late have gaps as well, but it goes no farther for that.
         """
-        before = self._way
+        before, lost = self._way, max([a.lost for a in asked])
+        if not lost:
+            return 0
         way = sum([a.way(last) for a, last in zip(asked, self.sent, strict=True)])
         if not (before > STILL and isfinite(way)):
             return 0
         after = sum([hypot(*a.jv, *a.jaw_v) for a in asked]) * self._period_s or before
         periods = round(2.0 * way / (before + after)) if isfinite(after) else 1
-        return max(min(max(a.lost for a in asked), periods - 1), 0)
+        return max(min(lost, periods - 1), 0)
 
 
 def _between(a: JointSetpoint, b: JointSetpoint, part: float, time_s: float) -> JointSetpoint:

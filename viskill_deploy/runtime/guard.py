@@ -7,9 +7,11 @@ are kept an eye on. Only the operator's pedal arms the gate and lets a held run 
 
 from __future__ import annotations
 
-import threading
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import inf
+from queue import Empty, SimpleQueue
 from typing import Final
 
 from viskill_deploy.core.description import CellDescription
@@ -35,6 +37,12 @@ from viskill_deploy.safety.supervisor import Supervisor
 
 STOP_S: Final = 2.0
 """What the gate's own stop gets before the guard ends anyway."""
+
+AHEAD_S: Final = 0.0015
+"""The robot's state is read so long before a setpoint is due, which then need not wait for it."""
+
+FRESH_S: Final = 0.003
+"""A state that was read longer ago is read anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,13 +98,13 @@ class Guard:
     ) -> None:
         self.driver, self.gate = driver, Supervisor(cell, driver.period_s)
         self._delivery = Delivery(driver, self.gate)
-        self._bell = threading.Event()
-        self.arms = [OfferedArm(arm, transport, prefix, self._bell.set) for arm in cell.arms]
+        self._bell: SimpleQueue[None] = SimpleQueue()
+        self.arms = [OfferedArm(arm, transport, prefix, self._ring) for arm in cell.arms]
         self._stream = ClientStream(self.arms, driver.period_s)
         self._recorder, self._show, self._links = recorder, tell, CellLinks(cell)
         self._named = named
         self._recover = recover
-        self._state = driver.state()
+        self._state, self._read_s = driver.state(), -inf
         self._last_s, self._told = driver.clock.now(), set[str]()
         self._told_mode = Mode.OFF
         self._halt = ""  # why the arms have to come to rest
@@ -110,10 +118,20 @@ class Guard:
         clock = self.driver.clock
         try:
             while not self.is_stop_wanted:
-                self._bell.wait(max(self.turn(clock.now()) - clock.now(), 0.0))
-                self._bell.clear()
+                self._wait(self.turn(clock.now()) - clock.now())
         finally:
             self.close()
+
+    def _ring(self) -> None:
+        """Something has come."""
+        self._bell.put(None)
+
+    def _wait(self, seconds: float) -> None:
+        """Until something has come, or time is up."""
+        with contextlib.suppress(Empty):
+            self._bell.get(timeout=max(seconds, 0.0))
+            while True:
+                self._bell.get_nowait()
 
     def ask_to_stop(self) -> None:
         """A person wants the end: acts at the next look."""
@@ -125,6 +143,9 @@ class Guard:
         if self._is_armed:
             while self._is_due(now):
                 self._cycle(now)
+            if now >= self._ahead_s > self._read_s:
+                self._read(now)
+                return self._next_s(now)  # what else there is to do would be in the setpoint's way
         elif now >= self._last_s + self.driver.period_s:
             self._await_operator(now)
         for arm, state in zip(self.arms, self._state.arms, strict=True):
@@ -152,12 +173,20 @@ class Guard:
         if self._is_armed and self._stream.is_waiting and not self._is_stopping:
             return now + TOGETHER_S / 2
         is_streaming = self._is_armed and not self._is_stopping
+        if is_streaming and self._read_s < self._ahead_s:
+            return self._ahead_s
         patience_s = self._stream.patience_s if is_streaming else self.driver.period_s
         return self._last_s + patience_s
 
+    @property
+    def _ahead_s(self) -> float:
+        """When the state is read that the next setpoint is judged by."""
+        return self._last_s + self.driver.period_s - AHEAD_S
+
     def _cycle(self, now: float) -> None:
         """Judges what the client asks for, with what was lost before it, and sends it on."""
-        state = self._read(now)
+        is_fresh = self._last_s < self._read_s and now - self._read_s < FRESH_S
+        state = self._state if is_fresh else self._read(now)
         has_consent = state.inputs.consent is True
         self._wants_on = has_consent and (self._wants_on or not self._had_consent)
         self._had_consent = has_consent
@@ -228,7 +257,7 @@ class Guard:
 
     def _read(self, now: float) -> CellState:
         """The newest state; the client is told when the driver complains."""
-        self._state = self._delivery.read(self._state)
+        self._state, self._read_s = self._delivery.read(self._state), now
         if self._delivery.trouble:
             self._complain(self._delivery.trouble, now)
         return self._state

@@ -15,7 +15,7 @@ from silent_recorder import SilentRecorder
 
 from viskill_deploy.core.calibration_files import calibrated
 from viskill_deploy.core.description import CellDescription, load_cell
-from viskill_deploy.core.types import Action, Mode, Verdict
+from viskill_deploy.core.types import Action, CellState, Mode, Verdict
 from viskill_deploy.drivers.crtk.inproc import Inproc
 from viskill_deploy.drivers.crtk.messages import (
     Empty,
@@ -33,7 +33,7 @@ from viskill_deploy.motion.links import CellLinks
 from viskill_deploy.observe.labels import rule_label
 from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.observe.recording import Recorder
-from viskill_deploy.runtime.guard import Guard
+from viskill_deploy.runtime.guard import AHEAD_S, Guard
 from viskill_deploy.sim.tasks.base import load_task
 from viskill_deploy.sim.world import WorldOptions
 
@@ -204,6 +204,35 @@ def test_setpoints_pass_bit_for_bit_at_the_moment_they_come(bench: Bench) -> Non
     assert bench.guard.counts.stopped == 0
     assert bench.guard.gate.mode is Mode.RUNNING
     assert bench.held("PSM1")[0] == pytest.approx(start["PSM1"][0], abs=1e-6)
+
+
+def test_the_state_is_read_before_a_setpoint_is_due_and_anew_for_one_that_is_late(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.ready()
+    start, clock, reads = bench.held("PSM1"), bench.driver.clock, list[CellState]()
+    read = bench.driver.state
+
+    def state() -> CellState:
+        reads.append(read())
+        return reads[-1]
+
+    monkeypatch.setattr(bench.driver, "state", state)
+    clock.sleep_until(bench.guard._last_s + PERIOD_S)
+    for k, late_s, count in ((1, 0.0, 1), (3, 0.0, 1), (5, 0.002, 2)):
+        began = clock.now()
+        bench.stream("PSM1", *swing(start, k))
+        due = bench.guard.turn(began)
+        assert due == pytest.approx(began + PERIOD_S - AHEAD_S)
+        reads.clear()
+        bench.guard.turn(due)
+        assert len(reads) == 1
+        clock.sleep_until(began + PERIOD_S)
+        bench.stream("PSM1", *swing(start, k + 1))
+        bench.guard.turn(clock.now() + late_s)
+        assert len(reads) == count
+        clock.sleep_until(clock.now() + PERIOD_S)
+    assert bench.guard.counts.stopped == 0
 
 
 def test_all_that_dvrks_client_wants_is_there(bench: Bench) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from operator import is_
 from typing import Any, Final
 
 from viskill_deploy.core.description import CellArm
@@ -23,7 +24,7 @@ from viskill_deploy.drivers.crtk.messages import (
     Time,
 )
 from viskill_deploy.drivers.crtk.on_the_way import Ages
-from viskill_deploy.drivers.crtk.stream import JointStream
+from viskill_deploy.drivers.crtk.stream import JointStream, Sample
 from viskill_deploy.drivers.crtk.transport import Transport
 
 FAULT: Final = "FAULT"
@@ -62,6 +63,7 @@ class ArmClient:
         self.tool: str | None = None
         self.error, self.errors, self.sent, self.ages = "", 0, Sent(), Ages()
         self._echo_s = 0.0
+        self._ours: tuple[Sample, Sample] | None = None  # the last that were seen to be so
         self._restarts, self._said, self._said_s = 0, "", 0.0
         self._masters = set[str]()  # topics of the teleoperations that command this arm
         self._clutches = set[str]()
@@ -164,8 +166,12 @@ class ArmClient:
         """What shows, while we send setpoints, that somebody else moves it too; or ""."""
         if self.condition.is_busy:
             return f"{self.name} is busy with a motion of somebody else; end it, then start again"
+        newest = self.held.newest, self.jaw_held.newest
+        if self._ours is not None and all(map(is_, newest, self._ours)):
+            return ""  # what was sent since then makes nothing of it a stranger's
         joint = self.sent.stranger(self._setpoint(), self.held.newest.stamp_s)
         if joint is None:
+            self._ours = newest
             return ""
         which = (*self.joint_names, JAW)[joint]
         return (
@@ -188,12 +194,18 @@ class ArmClient:
         return f"{self.name} is in FAULT ({said})"
 
     def send(self, setpoint: JointSetpoint, stamp: Time, now: float) -> None:
-        """Sends joints and jaw, position and velocity always: an arm keeps an old velocity."""
-        self._note_echo()
+        """Sends joints, position and velocity always: an arm keeps an old velocity.
+
+        `send_jaw` has to follow; between the two other arms get theirs, at the same time as this.
+        """
         self.sent.note(setpoint, now, self._setpoint())
-        head = Header(stamp)
-        self._servo_jp(JointState(head, self.joint_names, setpoint.jp, setpoint.jv))
-        self._jaw_servo_jp(JointState(head, (JAW,), (setpoint.jaw,), (setpoint.jaw_v,)))
+        self._servo_jp(JointState(Header(stamp), self.joint_names, setpoint.jp, setpoint.jv))
+
+    def send_jaw(self, setpoint: JointSetpoint, stamp: Time) -> None:
+        """The other half of a setpoint."""
+        jaw = (setpoint.jaw,), (setpoint.jaw_v,)
+        self._jaw_servo_jp(JointState(Header(stamp), (JAW,), *jaw))
+        self._note_echo()
 
     def hold(self) -> None:
         """Asks it to stay at its setpoint."""

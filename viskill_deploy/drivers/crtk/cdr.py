@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from functools import lru_cache
 from operator import attrgetter
-from typing import Any
+from typing import Any, Final
 
 from viskill_deploy.core.errors import DriverError
 from viskill_deploy.drivers.crtk.messages import Field, fields_of
@@ -20,6 +21,9 @@ Get = Callable[[bytes, int, str], tuple[Any, int]]
 """A value at a place, in the byte order "<" or ">", and where the next one may begin."""
 
 FORMATS = {"bool": "?", "int32": "i", "uint32": "I", "float32": "f", "float64": "d"}
+SAME: Final = 64
+"""Lists of texts whose bytes are kept; arms say the names of their joints all the time."""
+
 LITTLE, ORDERS = b"\x00\x01\x00\x00", {b"\x00\x00": ">", b"\x00\x01": "<"}
 
 
@@ -70,6 +74,8 @@ def _put(field: Field) -> Put:
     if not isinstance(field.kind, str):
         one = _put_all(field.kind)
     elif field.kind == "string":
+        if field.is_sequence:
+            return _put_texts
         one = _put_text
     elif field.is_sequence:
         return _put_numbers(FORMATS[field.kind])
@@ -116,6 +122,22 @@ def _put_text(value: Any, body: bytearray) -> None:
     body += text + b"\x00"
 
 
+@lru_cache(maxsize=SAME)
+def _texts(values: tuple[str, ...]) -> bytes:
+    body = bytearray()
+    _put_all_texts(values, body)
+    return bytes(body)
+
+
+_put_all_texts = _put_each(_put_text)
+
+
+def _put_texts(values: Any, body: bytearray) -> None:
+    """Texts begin with a count, whose place in a message does not change how they are aligned."""
+    body += bytes(-len(body) % 4)
+    body += _texts(tuple(values))
+
+
 def _get_all(message: type[Any]) -> Get:
     parts = [_get(field) for field in fields_of(message)]
 
@@ -133,6 +155,8 @@ def _get(field: Field) -> Get:
     if not isinstance(field.kind, str):
         one = _get_all(field.kind)
     elif field.kind == "string":
+        if field.is_sequence:
+            return _get_texts()
         one = _get_text
     elif field.is_sequence:
         return _get_numbers(FORMATS[field.kind])
@@ -187,3 +211,19 @@ def _get_text(data: bytes, at: int, order: str) -> tuple[Any, int]:
     if not size or at + size > len(data):
         raise IndexError(size)
     return data[at : at + size - 1].decode(errors="replace"), at + size
+
+
+def _get_texts() -> Get:
+    """Texts that a sender says again and again, such as names of joints, are read once."""
+    get, known = _get_each(_get_text), dict[str, tuple[bytes, tuple[str, ...]]]()
+
+    def get_again(data: bytes, at: int, order: str) -> tuple[Any, int]:
+        at += -at % 4
+        raw, values = known.get(order, (b"", ()))
+        if raw and data.startswith(raw, at):
+            return values, at + len(raw)
+        values, end = get(data, at, order)
+        known[order] = data[at:end], values
+        return values, end
+
+    return get_again

@@ -237,6 +237,8 @@ class CrtkDriver:
         stamp = Time.of_ns(self._transport.stamp_ns())
         for arm, setpoint in zip(self.arms, wanted, strict=True):
             arm.send(setpoint, stamp, now)
+        for arm, setpoint in zip(self.arms, wanted, strict=True):
+            arm.send_jaw(setpoint, stamp)
 
     def on_the_way(self) -> dict[str, Any]:
         """How setpoints fare on their way; {} before any was sent.

@@ -29,9 +29,11 @@ from viskill_deploy.drivers.crtk.topics import ARM, topic
 from viskill_deploy.drivers.crtk.transport import Transport
 
 REST: Final[Joints] = (0.0,) * 6
+STILL: Final[Joints] = (0.0,)
 MOST: Final = 32
 """Setpoints that may wait: more than a tenth of a second's are no stream any more."""
 
+POSES: Final = ("measured", "setpoint")
 REPEAT_S: Final = 0.1
 READ_S: Final = 0.01
 ERROR_S: Final = 2.0
@@ -75,9 +77,9 @@ class Asked:
 
     def setpoint(self, last: JointSetpoint, time_s: float) -> JointSetpoint:
         """With the mean velocities since the last setpoint where the client gives none."""
-        means = tuple([(b - a) / time_s for a, b in zip(last.jp, self.jp, strict=True)])
+        speeds = self.jv or tuple([(b - a) / time_s for a, b in zip(last.jp, self.jp, strict=True)])
         speed = self.jaw_v[0] if self.jaw_v else (self.jaw - last.jaw) / time_s
-        return JointSetpoint(self.jp, self.jv or means, self.jaw, speed)
+        return JointSetpoint(self.jp, speeds, self.jaw, speed)
 
 
 class OfferedArm:
@@ -107,17 +109,12 @@ class OfferedArm:
         self.jaw: deque[tuple[JointState, float]] = deque(maxlen=MOST)
         self.commands: deque[str] = deque()
         self._refusals: deque[str] = deque(maxlen=MOST)
-        self._told = Condition("", False, False)
+        self._told, self._heard = Condition("", False, False), set[str]()
         self._stamp_ns = self._last_ns = 0
         self._read_due_s = self._repeat_due_s = self._error_due_s = 0.0
         self._publish = {name: self._publisher(name) for name in SAID}
         self._publish["tool_type"](String(self._tool))
         self._listen()
-
-    @property
-    def waiting(self) -> list[str]:
-        """Which of its streams have a setpoint that waits: "arm", "jaw"."""
-        return ["arm"] * bool(self.servo) + ["jaw"] * bool(self.jaw)
 
     @property
     def arrivals(self) -> list[float]:
@@ -140,6 +137,7 @@ class OfferedArm:
             KinematicsError: no joints bring the tip to the pose that is asked for.
         """
         q, v, lost = last.jp, REST, 0
+        jaw, jaw_v = last.jaw, STILL
         if self.servo:
             message, _ = self.servo.popleft()
             lost = self._lost(message.header.stamp.ns, period_s)
@@ -147,10 +145,10 @@ class OfferedArm:
                 q, v = message.position, message.velocity
             else:
                 q, v = self._cartesian.goal(message.pose, last.jp), ()
-        jaw = JointState(position=(last.jaw,), velocity=(0.0,))
         if self.jaw:
-            jaw, _ = self.jaw.popleft()
-        return Asked(q, v, jaw.position[0], jaw.velocity, lost)
+            word, _ = self.jaw.popleft()
+            jaw, jaw_v = word.position[0], word.velocity
+        return Asked(q, v, jaw, jaw_v, lost)
 
     def speak(self, state: ArmState, condition: Condition, now: float) -> None:
         """Says where the arm is, and in what condition; what was refused too.
@@ -162,11 +160,14 @@ class OfferedArm:
         """
         while self._refusals:
             self.error(self._refusals.popleft(), now)
+        is_time = now >= self._repeat_due_s
+        if is_time:
+            self._heard = {kind for kind in POSES if self._is_heard(kind)}
         if now >= self._read_due_s:
             self._read_due_s = max(self._read_due_s + READ_S, now)
             stamp_ns = self._transport.stamp_ns() - round((now - state.stamp_s) * NANO)
             self._read(state, Time.of_ns(stamp_ns) if state.valid else Time())
-        if now >= self._repeat_due_s or condition != self._told:
+        if is_time or condition != self._told:
             self._told, self._repeat_due_s = condition, now + REPEAT_S
             self._stamp_ns = max(self._transport.stamp_ns(), self._stamp_ns + 1)
             head = Header(Time.of_ns(self._stamp_ns))
@@ -192,7 +193,7 @@ class OfferedArm:
         say["jaw/setpoint_js"](JointState(head, jaw, (state.jaw_setpoint_jp,)))
         local, task = Header(stamp, f"{self.name}_base"), Header(stamp, "task")
         for kind, q in (("measured", state.measured_jp), ("setpoint", state.setpoint_jp)):
-            if state.valid and (self._is_heard(f"{kind}_cp") or self._is_heard(f"local/{kind}_cp")):
+            if state.valid and kind in self._heard:
                 T = self._cartesian.local(q)
                 say[f"local/{kind}_cp"](PoseStamped(local, pose_of(T)))
                 T = self._cartesian.T_task_base @ T
@@ -253,8 +254,10 @@ class OfferedArm:
         entry = topic(name)
         return self._transport.publisher(self._name(name), entry.message, entry.is_latched)
 
-    def _is_heard(self, name: str) -> bool:
-        return self._transport.peers(self._name(name)) > 0
+    def _is_heard(self, kind: str) -> bool:
+        """Whether anybody wants to know where the tip is."""
+        names = (f"{kind}_cp", f"local/{kind}_cp")
+        return any(self._transport.peers(self._name(name)) > 0 for name in names)
 
     def _name(self, name: str) -> str:
         return f"{self._root}/{name}"
