@@ -106,12 +106,13 @@ class Client:
         self.until(lambda: self.is_in("ENABLED", True, False), lambda: self.press(True))
 
     def stream(self, seconds: float) -> None:
-        """Swings one joint."""
+        """Swings one joint, from rest to rest."""
         began, period, start = time.monotonic(), 1.0 / RATE_HZ, self.start
         for k in range(1, round(seconds * RATE_HZ) + 1):
             time.sleep(max(began + k * period - time.monotonic(), 0.0))
             phase = 2.0 * math.pi * k * period / SWING_S
-            q = start[0] + 0.5 * SWING_RAD * (1.0 - math.cos(phase)) * _ease(k * period)
+            ease = _ease(k * period) * _ease(seconds - k * period)
+            q = start[0] + 0.5 * SWING_RAD * (1.0 - math.cos(phase)) * ease
             position = (q, *start[1:])
             stamp_ns = self.node.stamp_ns()
             word = JointState(Header(Time.of_ns(stamp_ns)), JOINTS, position)
