@@ -60,6 +60,8 @@ def test_a_dry_run_with_json_prints_the_promised_figures_and_leaves_its_evidence
     assert "bipegtransfer" in page
     recording = read_recording(tmp_path / "run" / "recording")
     assert recording.complete
+    files = [(entry["path"], entry["sha256"]) for entry in result["files"]]
+    assert list(map(tuple, recording.about["files"])) == files
     cycles = len(recording.joints["/PSM1/setpoint_js"].time_s)
     assert 2 * cycles == result["setpoints"]
     assert len(recording.verdicts) >= cycles

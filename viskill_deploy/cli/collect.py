@@ -210,7 +210,7 @@ def _agree(
     """
     checklist = Checklist()
     look_at_robot(checklist, driver, cell)
-    files = [(str(file), data.sha256(file)) for file in cell.files]
+    files = data.digests(cell.files)
     print_preflight(f"calibrate collect · cell {cell.name}", checklist.lines, files, console)
     checklist.insist()
     arms = " and ".join(arm.name for arm in cell.arms)

@@ -283,7 +283,8 @@ def _run(
 ) -> tuple[dict[str, Any], ViskillError | None]:
     """The run's figures, and what ended it early; both are kept when the recorder fails."""
     succeeded = 0
-    recorder = Recorder(folder / "recording", prepared.cell, options.world.period_s)
+    period_s, files = options.world.period_s, prepared.files
+    recorder = Recorder(folder / "recording", prepared.cell, period_s, files=files)
     with progress(options.episodes, console) as advance:
 
         def one_more(result: EpisodeResult) -> None:

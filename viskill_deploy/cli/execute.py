@@ -265,7 +265,8 @@ def _run(
     folder: Path,
 ) -> tuple[dict[str, Any], ViskillError | None]:
     """The run's figures, and what ended it early; both are kept when the recorder fails."""
-    recorder = Recorder(folder / "recording", prepared.cell, driver.period_s)
+    period_s, files = driver.period_s, prepared.files
+    recorder = Recorder(folder / "recording", prepared.cell, period_s, files=files)
     lost: ViskillError | None = None
     try:
         recorder.wait_until_open()

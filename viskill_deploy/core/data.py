@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import platformdirs
@@ -59,6 +60,11 @@ def shadows(path: Path) -> Path | None:
                 return packaged / relative
         return None
     return None
+
+
+def digests(paths: Iterable[Path]) -> tuple[tuple[str, str], ...]:
+    """Path and hex SHA-256 of files, as preflight, results and recordings name them."""
+    return tuple((str(path), sha256(path)) for path in paths)
 
 
 def sha256(path: Path) -> str:

@@ -23,7 +23,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from viskill_deploy.core import clock
+from viskill_deploy.core import clock, data
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import RecordingError
 from viskill_deploy.core.types import (
@@ -62,13 +62,19 @@ class Recorder:
         period_s: control period, s.
         patience_s: longest that one call waits while the pipe is full, s. A simulated run goes
             faster than real time and has to wait at times; a recorder that is this late is dead.
+        files: path and SHA-256 of every data file that the run uses; by default, of the cell's.
 
     Raises:
         RecordingError: `path` exists already, or the process cannot be started.
     """
 
     def __init__(
-        self, path: Path, cell: CellDescription, period_s: float, patience_s: float = 1.0
+        self,
+        path: Path,
+        cell: CellDescription,
+        period_s: float,
+        patience_s: float = 1.0,
+        files: Sequence[tuple[str, str]] = (),
     ) -> None:
         self.path = Path(path)
         self._patience_ms = patience_s * 1e3
@@ -92,6 +98,7 @@ class Recorder:
             "tools": [arm.arm.tool for arm in cell.arms],
             "joints": cell.arms[0].arm.joint_names,
             "period_s": period_s,
+            "files": files or data.digests(cell.files),
         }
         self._send(Kind.HELLO, json.dumps(hello).encode())
 

@@ -80,7 +80,7 @@ class RunData:
     """A recording, or one episode of it.
 
     Attributes:
-        about: cell, arms, robots, tools and period as the recorder was told.
+        about: cell, arms, robots, tools, period and files (path, SHA-256) as the recorder was told.
         origin_ns: Unix time of `time_s` = 0, ns.
         joints: tracks by topic, such as "/PSM1/jaw/setpoint_js".
         poses: tracks by topic, such as "/PSM1/measured_cp" or "/scene/block0".

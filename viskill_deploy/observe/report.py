@@ -17,7 +17,7 @@ from viskill_deploy.core.errors import RecordingError
 from viskill_deploy.observe import figures
 from viskill_deploy.observe.boundaries import boundary_of, boundary_rows, sentences
 from viskill_deploy.observe.faults import struck_rows
-from viskill_deploy.observe.labels import action_label, rule_label
+from viskill_deploy.observe.labels import action_label, rule_label, with_labels
 from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.observe.records import RunData
 from viskill_deploy.observe.starts import Result, start_rows
@@ -117,6 +117,7 @@ def environment() -> jinja2.Environment:
     loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
     made = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     made.filters["outcome"] = outcome
+    made.filters["labelled"] = with_labels
     return made
 
 
@@ -165,7 +166,7 @@ def _notes(
             told = [boundary_of(boundary) for boundary in entry.get("boundaries") or ()]
             reasons = [sentence for boundary in told for sentence in sentences(boundary)]
             reasons += filter(None, (entry.get("reason"), entry.get("refused")))
-            notes += [f"episode {shown}: {reason}" for reason in reasons]
+            notes += [with_labels(f"episode {shown}: {reason}") for reason in reasons]
     notes += [trouble] if trouble else []
     if video is not None and video.note:
         notes.append(video.note)

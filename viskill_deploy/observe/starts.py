@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from viskill_deploy.observe.boundaries import sentences
+from viskill_deploy.observe.labels import with_labels
 from viskill_deploy.runtime.ledger import EpisodeResult
 
 Result = Mapping[str, Any]
@@ -74,4 +75,4 @@ def remarks(result: EpisodeResult) -> Iterator[str]:
         for sentence in sentences(boundary):
             yield f"episode {result.episode}: {sentence}"
     if result.reason or result.refused:
-        yield f"episode {result.episode}: {result.reason or result.refused}"
+        yield with_labels(f"episode {result.episode}: {result.reason or result.refused}")

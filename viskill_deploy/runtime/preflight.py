@@ -156,8 +156,8 @@ def look_at_files(checklist: Checklist, sources: Sources) -> Prepared | None:
     used = [*cell.files, bundle.path / MANIFEST]
     used += [bundle.path / name for name in bundle.manifest.files]
     used += [] if seen is None else [seen.path]
-    files = tuple((str(file), data.sha256(file)) for file in used)
-    return Prepared(bundle, task, cell, files, _notes(cell), tuple(checklist.lines), seen)
+    files, lines = data.digests(used), tuple(checklist.lines)
+    return Prepared(bundle, task, cell, files, _notes(cell), lines, seen)
 
 
 def _notes(cell: CellDescription) -> tuple[str, ...]:

@@ -75,7 +75,7 @@ def prepare_trajectory(path: Path) -> PreparedTrajectory:
             if (hidden := data.shadows(file)) is not None
         ),
     ]
-    files = tuple((str(file), data.sha256(file)) for file in (*cell.files, path))
+    files = data.digests((*cell.files, path))
     name = path.name.removesuffix(PLAN_ENDING)
     return PreparedTrajectory(name, task, cell, tuple(plan.unpacked()), files, tuple(notes))
 

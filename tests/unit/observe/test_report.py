@@ -295,6 +295,22 @@ def test_why_the_shown_episode_ended_early_stands_in_the_notes(tmp_path):
     assert "episode 1: it is &lt;lost&gt;" in notes
 
 
+REFUSED = "the plan is refused at 1.20 s: S10 on PSM1, and S05"
+NAMED = "the plan is refused at 1.20 s: tip speed (S10) on PSM1, and joint speed (S05)"
+
+
+def test_people_read_rules_by_their_names_wherever_a_text_has_an_id(tmp_path):
+    assert labels.with_labels(REFUSED) == labels.with_labels(NAMED) == NAMED
+    assert list(starts.remarks(EpisodeResult(3, refused=REFUSED))) == [f"episode 3: {NAMED}"]
+    result = json.loads(json.dumps(CHAINED))
+    for episode in result["episode_results"]:
+        episode |= {"reason": "", "refused": REFUSED}
+    path = write_report(tmp_path / "r.html", result, load_cell("bipegtransfer"), episode=1)
+    page = path.read_text(encoding="utf-8")
+    assert page.count(NAMED) >= 2, "in the notes and in the table of episodes"
+    assert REFUSED not in page
+
+
 def test_a_result_without_subgoals_has_no_such_section(page):
     assert "<h2>Subgoals</h2>" not in page
 
