@@ -85,9 +85,12 @@ soak: $(VENV)/.dev
 numbers: $(VENV)/.dev
 	$(BIN)/python tests/support/gate_numbers.py
 
-# Every fault in every phase on the served loopback, against the clock; about ten minutes.
+# Every fault in every phase on the served loopback, against the clock; about ten minutes. Then the
+# runtime is killed fifty times in mid-motion.
 faults: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/pytest -m faults tests/faults
+	rm -f build/watchdog.jsonl
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/watchdog.py
 	@echo "make faults: each fault met its declared reaction in real time."
 
 # A hidden robot on the wire: measured, fitted, run, each command killed once on its way.

@@ -3,7 +3,8 @@
 Every trial starts runtime, served loopback, watchdog and recorder anew and kills the runtime at
 another moment of a motion at up to 45 mm/s. The times are those at which the served arms were told,
 by the machine's monotonic clock; how far a tip still moved is what their own encoders say. One JSON
-line a trial goes to FILE; trials that stand there already are not run again.
+line a trial goes to FILE; trials that stand there already are not run again. Exits with 1 when arms
+were not held within 100 ms, or a recording is not complete.
 """
 
 from __future__ import annotations
@@ -55,8 +56,8 @@ def trial(number: int, folder: Path) -> dict[str, float | bool]:
     }
 
 
-def main(trials: int, file: Path) -> None:
-    """Runs what is missing, then prints what all of it came to."""
+def main(trials: int, file: Path) -> int:
+    """Runs what is missing, then prints what all of it came to; 1 when that is not good."""
     done = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
     for number in range(len(done), trials):
         with tempfile.TemporaryDirectory() as folder:
@@ -76,10 +77,13 @@ def main(trials: int, file: Path) -> None:
     print(f"farthest that a tip moved after the kill: {moved.max():.1f} mm")
     print(f"recordings complete: {sum(row['record_complete'] for row in done)}")
     print(f"last recorded cycle before the kill: at most {lacks.max():.1f} ms")
+    return int((held > GOAL_S * 1e3).any() or not all(row["record_complete"] for row in done))
 
 
 if __name__ == "__main__":
-    main(
-        int(sys.argv[1]) if len(sys.argv) > 1 else 50,
-        Path(sys.argv[2]) if len(sys.argv) > 2 else Path("build/watchdog.jsonl"),
+    sys.exit(
+        main(
+            int(sys.argv[1]) if len(sys.argv) > 1 else 50,
+            Path(sys.argv[2]) if len(sys.argv) > 2 else Path("build/watchdog.jsonl"),
+        )
     )

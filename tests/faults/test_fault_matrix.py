@@ -77,6 +77,19 @@ def test_a_full_disk_ends_the_run_in_each_phase(driver, tmp_path: Path, phase: s
     assert not read_recording(tmp_path / "bag").complete
 
 
+@pytest.mark.parametrize("name", [name for name in BY_NAME if name not in OWN_PROCESS])
+@pytest.mark.invariant("S32")
+def test_the_record_of_a_run_with_any_fault_opens_and_is_complete(driver, tmp_path, name) -> None:
+    with Recorder(tmp_path / "bag", prepared().cell, driver.period_s) as recorder:
+        recorder.wait_until_open()
+        cell = run_cell(driver, phases()["lift"], BY_NAME[name], recorder)
+    data = read_recording(tmp_path / "bag")
+    assert data.complete
+    times = data.joints["/PSM1/setpoint_js"].time_s
+    assert times[-1] - times[0] > STRIKE_S
+    assert not cell.cause or cell.cause in {row.rule for row in data.verdicts}
+
+
 @pytest.mark.parametrize("phase", PHASES)
 @pytest.mark.invariant("S32")
 def test_a_killed_runtime_leaves_a_complete_record_in_each_phase(driver, tmp_path, phase) -> None:

@@ -36,7 +36,8 @@ ARITHMETIC: dict[type[ast.operator], type[ast.operator]] = {
 }
 SWAPPED = {"min": "max", "max": "min", "any": "all", "all": "any", "cos": "sin", "sin": "cos"}
 SKIPPED_KEYWORDS = {"strict", "slots"}
-THRESHOLD_FACTORS = (0.95, 1.05, -1.0)
+THRESHOLD_FACTORS = (0.95, 1.05, -1.0, 1e3, 1e-3)
+"""A little stricter or looser, the other sign, and millimetres for metres or the reverse."""
 
 
 @dataclass(frozen=True)
@@ -186,6 +187,8 @@ def _options(node: ast.AST, place: _Place) -> Iterator[Option]:
             yield "condition", rest[0] if len(rest) == 1 else ast.BoolOp(node.op, rest)
     elif isinstance(node, ast.Constant):
         yield from _constants(node, place)
+    elif isinstance(node, ast.Tuple) and not place.in_code and _is_pair(node):
+        yield "threshold", ast.Tuple(node.elts[::-1], ast.Load())
     elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in SWAPPED:
         name = ast.Name(SWAPPED[node.func.id], ast.Load())
         yield "call", ast.Call(name, node.args, node.keywords)
@@ -222,6 +225,13 @@ def _constants(node: ast.Constant, place: _Place) -> Iterator[Option]:
             yield "threshold", ast.Call(ast.Name("float", ast.Load()), [ast.Constant("nan")], [])
     elif isinstance(value, str) and " " not in value and not place.in_raise:
         yield "constant", ast.Constant("XX" + value)
+
+
+def _is_pair(node: ast.Tuple) -> bool:
+    """Two different numbers, such as a lower and an upper one, that could change places."""
+    values = [item.value for item in node.elts if isinstance(item, ast.Constant)]
+    numbers = [value for value in values if isinstance(value, float)]
+    return len(node.elts) == len(numbers) == 2 and numbers[0] != numbers[1]
 
 
 def _statements(node: ast.AST) -> Iterator[Option]:

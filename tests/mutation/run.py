@@ -127,6 +127,8 @@ def work(server: Server, cases: list[Case], key: str, options: argparse.Namespac
     if options.quick:
         server.leave_out_dear_tests()
     server.check_itself(random.Random(0))
+    if not options.quick:
+        server.check_fresh_processes()
     print(
         f"{len(cases)} mutants to try against {len(server.items)} tests; the tests pass without "
         f"any, in {sum(server.baseline.cost.values()):.0f} s of CPU time",

@@ -203,6 +203,19 @@ class Server:
         if outcome.status != "killed":
             raise HarnessError(f"a gate that asks no rule is said to have {outcome.status}")
 
+    def check_fresh_processes(self) -> None:
+        """A new process, in which a module is put in place unchanged, fails no test.
+
+        Raises:
+            HarnessError: it does, or could not run the tests.
+        """
+        file = "safety/ceilings.py"
+        source = (ROOT / "viskill_deploy" / file).read_text(encoding="utf-8")
+        same = Mutant("unchanged", file, 0, "", "", "", 0, 0, "")
+        outcome = in_fresh_process(same, ast.parse(source))
+        if outcome.status != "survived":
+            raise HarnessError(f"unchanged code is said to be {outcome} in a new process")
+
 
 def module_name(file: str) -> str:
     """Name of the module in a file of the package."""

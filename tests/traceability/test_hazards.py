@@ -37,6 +37,7 @@ def test_no_marker_or_hazard_names_an_invariant_that_there_is_not():
 
 def test_the_page_names_every_hazard_and_no_file_that_there_is_not():
     text = DOCUMENT.read_text(encoding="utf-8")
+    assert text == traceability.page(), "run `make hazards`"
     for hazard in HAZARDS:
         assert f"| {hazard.id} | {hazard.text} |" in text, "run `make hazards`"
     for file in re.findall(r"`((?:unit|property|faults|integration|traceability)/[^`]+)`", text):
