@@ -107,6 +107,8 @@ ROWS = [
     Row("second commander", "S24", Mode.FAULT, 0.050, "PSM1 holds a setpoint for"),
     Row("clutch", "S24", Mode.FAULT, 0.005, "somebody presses PSM1's clutch"),
     Row("tool", "S24", Mode.FAULT, 0.010, "PSM1 has no instrument"),
+    Row("paused", "S23", Mode.FAULT, 0.010, "arms not ready (PSM1 PAUSED)"),
+    Row("disabled", "S23", Mode.FAULT, 0.010, "arms not ready (PSM1 DISABLED)"),
 ]
 
 

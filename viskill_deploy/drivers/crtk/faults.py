@@ -20,12 +20,15 @@ Fault = Literal[
     "second commander",
     "clutch",
     "tool",
+    "paused",
+    "disabled",
 ]
 """tracking: tracking error, FAULT. power: the amplifiers have no power and get none meanwhile.
 silence: nothing periodic is published. invalid: what is published is marked as invalid. short:
 measured_js has five entries. nan: a measured joint is no number. following: a teleoperation says
 that it commands this arm. second commander: somebody else sends it servo_jp. clutch: the button on
-the arm is pressed. tool: the instrument is taken out."""
+the arm is pressed. tool: the instrument is taken out. paused, disabled: another program says so to
+the arm, which is not ready for setpoints then."""
 
 
 def cause(arm: ArmOnWire, fault: str, is_on: bool) -> None:
@@ -56,6 +59,9 @@ def cause(arm: ArmOnWire, fault: str, is_on: bool) -> None:
             arm.press_clutch(is_on)
         case "tool":
             arm.arm.emulate_tool(not is_on)
+        case "paused" | "disabled":
+            if is_on:
+                arm.arm.state_command("pause" if fault == "paused" else "disable")
         case _:
             raise DriverError(f"no fault {fault!r}; there are {', '.join(get_args(Fault))}")
 
