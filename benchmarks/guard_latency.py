@@ -40,6 +40,8 @@ JOINTS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
 ARMS = ("PSM1", "PSM2")
 PATIENCE_S = 180.0
 KEPT = 32
+STILL_S = 0.05
+"""At rest before the stream ends: what ends in mid-motion is stopped."""
 
 
 class Client:
@@ -111,7 +113,7 @@ class Client:
         for k in range(1, round(seconds * RATE_HZ) + 1):
             time.sleep(max(began + k * period - time.monotonic(), 0.0))
             phase = 2.0 * math.pi * k * period / SWING_S
-            ease = _ease(k * period) * _ease(seconds - k * period)
+            ease = _ease(k * period) * _ease(seconds - STILL_S - k * period)
             q = start[0] + 0.5 * SWING_RAD * (1.0 - math.cos(phase)) * ease
             position = (q, *start[1:])
             stamp_ns = self.node.stamp_ns()
@@ -136,7 +138,7 @@ class Client:
 
 def _ease(t: float) -> float:
     """From 0 to 1 within a second, without a jerk."""
-    t = min(t, 1.0)
+    t = min(max(t, 0.0), 1.0)
     return t**4 * (35.0 - 84.0 * t + 70.0 * t**2 - 20.0 * t**3)
 
 
