@@ -22,8 +22,10 @@ SCALED = 1.2
 TINY = 1e-6
 """Relative, and in rad or m: rounding of differences."""
 
-OVERSHOOT_M = 0.0105
-"""How far a stop may carry the control point beyond a wall: the longest stop there is (S34)."""
+OVERSHOOT_M = 0.0129
+"""How far a stop may carry the control point beyond a wall. The longest that there is begins where
+insertion has 1.2 times the tip's speed and of its own acceleration, just before a HOLD: 60 mm/s and
+1.2 m/s^2 come to rest within w (a / J + w / 2A + A / 2J) = 12.8 mm, w = v + a^2 / 2J = 96 mm/s."""
 
 
 @dataclass
