@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from viskill_deploy.core.errors import DriverError
 from viskill_deploy.drivers.crtk.arm_on_wire import ArmOnWire
@@ -30,6 +31,9 @@ that it commands this arm. second commander: somebody else sends it servo_jp. cl
 the arm is pressed. tool: the instrument is taken out. paused, disabled: another program says so to
 the arm, which is not ready for setpoints then."""
 
+Act = Callable[[ArmOnWire, bool], None]
+"""Begins or ends a fault."""
+
 
 def cause(arm: ArmOnWire, fault: str, is_on: bool) -> None:
     """Begins or ends a fault of one arm.
@@ -37,33 +41,45 @@ def cause(arm: ArmOnWire, fault: str, is_on: bool) -> None:
     Raises:
         DriverError: there is no such fault.
     """
-    match fault:
-        case "tracking":
-            if is_on:
-                arm.arm.fail("tracking error, mask [1, 0, 0, 0, 0, 0, 0]")
-        case "power":
-            arm.has_supply = not is_on
-        case "silence":
-            arm.is_silent = is_on
-        case "invalid":
-            arm.is_invalid = is_on
-        case "short":
-            arm.spoil = _short if is_on else _sound
-        case "nan":
-            arm.spoil = _nan if is_on else _sound
-        case "following":
-            arm.follow(is_on)
-        case "second commander":
-            arm.intruder = arm.arm.motion.setpoint.jp if is_on else ()
-        case "clutch":
-            arm.press_clutch(is_on)
-        case "tool":
-            arm.arm.emulate_tool(not is_on)
-        case "paused" | "disabled":
-            if is_on:
-                arm.arm.state_command("pause" if fault == "paused" else "disable")
-        case _:
-            raise DriverError(f"no fault {fault!r}; there are {', '.join(get_args(Fault))}")
+    if fault not in _ACTS:
+        raise DriverError(f"no fault {fault!r}; there are {', '.join(_ACTS)}")
+    _ACTS[fault](arm, is_on)
+
+
+def _fail(arm: ArmOnWire, is_on: bool) -> None:
+    if is_on:
+        arm.arm.fail("tracking error, mask [1, 0, 0, 0, 0, 0, 0]")
+
+
+def _supply(arm: ArmOnWire, is_on: bool) -> None:
+    arm.has_supply = not is_on
+
+
+def _silence(arm: ArmOnWire, is_on: bool) -> None:
+    arm.is_silent = is_on
+
+
+def _invalid(arm: ArmOnWire, is_on: bool) -> None:
+    arm.is_invalid = is_on
+
+
+def _spoiled(how: Callable[[str, Any], Any]) -> Act:
+    def act(arm: ArmOnWire, is_on: bool) -> None:
+        arm.spoil = how if is_on else _sound
+
+    return act
+
+
+def _intrude(arm: ArmOnWire, is_on: bool) -> None:
+    arm.intruder = arm.arm.motion.setpoint.jp if is_on else ()
+
+
+def _told(word: str) -> Act:
+    def act(arm: ArmOnWire, is_on: bool) -> None:
+        if is_on:
+            arm.arm.state_command(word)
+
+    return act
 
 
 def _sound(topic: str, message: Any) -> Any:
@@ -87,3 +103,19 @@ def _nan(topic: str, message: Any) -> Any:
     if topic != "measured_js":
         return message
     return replace(message, position=(math.nan, *message.position[1:]))
+
+
+_ACTS: dict[str, Act] = {
+    "tracking": _fail,
+    "power": _supply,
+    "silence": _silence,
+    "invalid": _invalid,
+    "short": _spoiled(_short),
+    "nan": _spoiled(_nan),
+    "following": lambda arm, is_on: arm.follow(is_on),
+    "second commander": _intrude,
+    "clutch": lambda arm, is_on: arm.press_clutch(is_on),
+    "tool": lambda arm, is_on: arm.arm.emulate_tool(not is_on),
+    "paused": _told("pause"),
+    "disabled": _told("disable"),
+}

@@ -21,8 +21,8 @@ ADVICE: dict[TransportName, str] = {
     "/usr/lib/python3/dist-packages after its own packages (tests/ros/install does it with a .pth "
     "file); in a ROS installation: source its setup.bash",
     "ros2": "source the setup.bash of ROS 2 and that of dVRK's workspace, which has crtk_msgs, and "
-    "use that ROS's Python from 3.11 on (python3 -m venv --system-site-packages); or say dds, which "
-    "needs no ROS",
+    "use that ROS's Python from 3.11 on (python3 -m venv --system-site-packages); or say dds, "
+    "which needs no ROS",
     "dds": "pip install 'viskill-deploy[ros]'",
 }
 """What to do where something is missing."""
