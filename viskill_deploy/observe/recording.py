@@ -88,6 +88,7 @@ class Recorder:
         self._cycle = frames.cycle_struct(self._arms, self._joints)
         self._no_poses = bytes(self._arms * 128)
         self._cycle_bytes = self._cycle.size + len(self._no_poses) - HEADER.size
+        files = files or data.digests(cell.files)  # may fail, and then nothing was begun
         self._process, self._pipe = _start(self.path)
         self._poll = select.poll()
         self._poll.register(self._pipe, select.POLLOUT)
@@ -98,7 +99,7 @@ class Recorder:
             "tools": [arm.arm.tool for arm in cell.arms],
             "joints": cell.arms[0].arm.joint_names,
             "period_s": period_s,
-            "files": files or data.digests(cell.files),
+            "files": files,
         }
         self._send(Kind.HELLO, json.dumps(hello).encode())
 

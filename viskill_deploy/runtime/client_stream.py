@@ -102,7 +102,7 @@ class ClientStream:
         self.sent = sent
 
     def _waiting(self) -> int:
-        """Which streams have a setpoint that waits: two bits an arm."""
+        """Which streams have a setpoint that waits: two bits an arm, joints above jaw."""
         waiting = 0
         for arm in self._arms:
             waiting = waiting << 2 | bool(arm.servo) << 1 | bool(arm.jaw)

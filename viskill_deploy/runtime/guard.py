@@ -39,7 +39,8 @@ STOP_S: Final = 2.0
 """What the gate's own stop gets before the guard ends anyway."""
 
 AHEAD_S: Final = 0.0015
-"""The robot's state is read so long before a setpoint is due, which then need not wait for it."""
+"""The robot's state is read so long before a setpoint is due, which then need not wait for it. From
+667 Hz on there is no time for that."""
 
 FRESH_S: Final = 0.003
 """A state that was read longer ago is read anew."""
@@ -157,11 +158,14 @@ class Guard:
         clock = self.driver.clock
         deadline = clock.now() + STOP_S
         self._halt = "the guard was ended"
-        while self._is_armed and not self._at_rest and clock.now() < deadline:
-            clock.sleep_until(self._last_s + self.driver.period_s)
-            self._cycle(clock.now())
-        self.driver.watch.release()
-        self.driver.close()
+        try:
+            while self._is_armed and not self._at_rest and clock.now() < deadline:
+                clock.sleep_until(self._last_s + self.driver.period_s)
+                self._cycle(clock.now())
+        finally:
+            if self._at_rest or not self._is_armed:  # else the watchdog stays with the arms
+                self.driver.watch.release()
+            self.driver.close()
 
     def _is_due(self, now: float) -> bool:
         since_s = now - self._last_s
@@ -172,7 +176,7 @@ class Guard:
     def _next_s(self, now: float) -> float:
         if self._is_armed and self._stream.is_waiting and not self._is_stopping:
             return now + TOGETHER_S / 2
-        is_streaming = self._is_armed and not self._is_stopping
+        is_streaming = self._is_armed and not (self._is_stopping or self._halt)
         if is_streaming and self._read_s < self._ahead_s:
             return self._ahead_s
         patience_s = self._stream.patience_s if is_streaming else self.driver.period_s
@@ -185,8 +189,7 @@ class Guard:
 
     def _cycle(self, now: float) -> None:
         """Judges what the client asks for, with what was lost before it, and sends it on."""
-        is_fresh = self._last_s < self._read_s and now - self._read_s < FRESH_S
-        state = self._state if is_fresh else self._read(now)
+        state = self._state if self._is_fresh(now) else self._read(now)
         has_consent = state.inputs.consent is True
         self._wants_on = has_consent and (self._wants_on or not self._had_consent)
         self._had_consent = has_consent
@@ -198,6 +201,14 @@ class Guard:
                 return
             self.counts = replace(self.counts, filled=self.counts.filled + 1)
         self._judge(state, request, now)
+
+    def _is_fresh(self, now: float) -> bool:
+        """Whether the state that was read ahead is judged by; a person's no is, however old."""
+        if self._read_s <= self._last_s:
+            return False
+        inputs = self._state.inputs
+        is_no = inputs.consent is not True or inputs.estop is not False
+        return is_no or 0.0 <= now - self._read_s < FRESH_S
 
     def _requests(self) -> list[Request]:
         """What the gate is asked, in order; all but the last were never heard."""
@@ -242,10 +253,11 @@ class Guard:
             self._halt = ""
         rules = {verdict.rule for verdict in decision.verdicts}
         known = self._told if decision.mode is self._told_mode else set()
-        if decision.mode is not self._told_mode or not rules <= known:
-            self._tell(decision.verdicts, decision.mode)
+        is_news = decision.mode is not self._told_mode or not rules <= known
         self._told_mode = decision.mode
         self._told = rules if decision.passed else known | rules
+        if is_news:
+            self._tell(decision.verdicts, decision.mode)
 
     def _tell(self, verdicts: Sequence[Verdict], mode: Mode) -> None:
         """Says to people and clients what the gate has said."""
@@ -253,7 +265,8 @@ class Guard:
         said = [f"{self._named(v.rule)}: {v.action.name}" for v in verdicts]
         text = f"gate {mode.value}{': ' * bool(said)}{'; '.join(dict.fromkeys(said))}"
         for arm in self.arms:
-            arm.tell(text, bool(said))
+            with contextlib.suppress(DriverError):  # arms are stopped, whoever cannot be told
+                arm.tell(text, bool(said), self.driver.clock.now())
 
     def _read(self, now: float) -> CellState:
         """The newest state; the client is told when the driver complains."""

@@ -235,6 +235,42 @@ def test_the_state_is_read_before_a_setpoint_is_due_and_anew_for_one_that_is_lat
     assert bench.guard.counts.stopped == 0
 
 
+def test_a_pedal_that_was_seen_let_go_counts_however_late_the_setpoint_is(bench: Bench) -> None:
+    bench.ready()
+    start, clock = bench.held("PSM1"), bench.driver.clock
+    clock.sleep_until(bench.guard._last_s + PERIOD_S)
+    bench.stream("PSM1", *swing(start, 1))
+    due = bench.guard.turn(clock.now())
+    bench.driver.say(consent=False)
+    clock.sleep_until(due)
+    bench.guard.turn(clock.now())
+    bench.driver.say(consent=True)
+    clock.sleep_until(clock.now() + PERIOD_S)
+    bench.stream("PSM1", *swing(start, 2))
+    bench.guard.turn(clock.now())
+    assert bench.guard.gate.mode is Mode.HOLDING
+
+
+def test_a_hold_is_acted_on_within_a_period_when_the_stream_ends_with_it(bench: Bench) -> None:
+    bench.ready()
+    start, clock = bench.held("PSM1"), bench.driver.clock
+    for k in range(1, 60):
+        bench.stream("PSM1", *swing(start, k, 0.05))
+        bench.step()
+    bench.out["PSM1/hold"](Empty())
+    now = clock.now()
+    assert bench.guard.turn(now) <= bench.guard._last_s + PERIOD_S + 1e-9
+    bench.step()
+    assert bench.guard.gate.mode is Mode.HOLDING
+
+
+def test_a_client_at_a_limit_is_not_told_of_it_all_the_time(bench: Bench) -> None:
+    (arm, _), bench.warnings[:] = bench.guard.arms, []
+    for now in (1.0, 1.1, 1.4, 1.6):
+        arm.tell("gate running: joint speed (S05): SCALE", True, now)
+    assert bench.warnings == ["PSM1: gate running: joint speed (S05): SCALE"] * 2
+
+
 def test_all_that_dvrks_client_wants_is_there(bench: Bench) -> None:
     client = Inproc(bench.driver.exchange)
     for topic in ARM:

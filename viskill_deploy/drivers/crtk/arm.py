@@ -168,7 +168,7 @@ class ArmClient:
             return f"{self.name} is busy with a motion of somebody else; end it, then start again"
         newest = self.held.newest, self.jaw_held.newest
         if self._ours is not None and all(map(is_, newest, self._ours)):
-            return ""  # what was sent since then makes nothing of it a stranger's
+            return ""  # it does not become a stranger's by what was sent since then
         joint = self.sent.stranger(self._setpoint(), self.held.newest.stamp_s)
         if joint is None:
             self._ours = newest
@@ -196,7 +196,7 @@ class ArmClient:
     def send(self, setpoint: JointSetpoint, stamp: Time, now: float) -> None:
         """Sends joints, position and velocity always: an arm keeps an old velocity.
 
-        `send_jaw` has to follow; between the two other arms get theirs, at the same time as this.
+        `send_jaw` has to follow: the joints of all arms go out before any jaw.
         """
         self.sent.note(setpoint, now, self._setpoint())
         self._servo_jp(JointState(Header(stamp), self.joint_names, setpoint.jp, setpoint.jv))

@@ -66,7 +66,7 @@ class _Ear:
 
 @dataclass
 class _Topics:
-    """What a node has opened, by topic; `order` is the order in which ears are asked."""
+    """What a node has opened, by topic; `order` has all ears, those first that often hear."""
 
     topics: dict[str, tuple[type[Any], Any]] = field(default_factory=dict)
     writers: dict[str, list[Any]] = field(default_factory=dict)
@@ -198,14 +198,17 @@ class Dds:
     def _listen(self) -> None:
         """The node's thread.
 
-        It learns how many have something and not who: asks all, those first that often have.
+        It learns how many have something and not who: asks those first that often have, until it
+        has found so many. More may have come meanwhile, so every other round asks all.
         """
-        order = self._opened.order
+        order, is_whole = self._opened.order, True
         while self._is_open:
             left = self._set.wait(duration(seconds=1))
             self._bell.take()
+            was_whole, is_whole = is_whole, True
             for index, ear in enumerate(order):
-                if left <= 0:
+                if left <= 0 and was_whole:
+                    is_whole = False
                     break
                 if self._take(ear):
                     left -= 1

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from math import dist
+from math import dist, inf
 from typing import Any, Final
 
 from viskill_deploy.core.description import CellArm
@@ -39,13 +39,16 @@ READ_S: Final = 0.01
 ERROR_S: Final = 2.0
 """What is refused again and again is told this often."""
 
+SAID_S: Final = 0.5
+"""A client that hovers at a limit would be told of it with every other setpoint."""
+
 HEARD: Final = ("state_command", "hold", "servo_jp", "servo_cp", "jaw/servo_jp")
 REFUSED: Final = tuple(t.name for t in ARM if t.publisher == "client" and t.name not in HEARD)
 """All else that dVRK's client may send: it wants somebody at the other end of each."""
 
 SAID: Final = tuple(t.name for t in ARM if t.publisher == "server")
-"""All that dVRK's client listens to, for the same reason. Forces, twists and Jacobians are never
-said: ask the robot for them."""
+"""All that dVRK's client listens to, for the same reason. What the guard does not know better than
+the robot (forces, twists, Jacobians, its clutch) is never said: ask the robot for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +112,7 @@ class OfferedArm:
         self.jaw: deque[tuple[JointState, float]] = deque(maxlen=MOST)
         self.commands: deque[str] = deque()
         self._refusals: deque[str] = deque(maxlen=MOST)
+        self._said_s: dict[str, float] = {}
         self._told, self._heard = Condition("", False, False), set[str]()
         self._stamp_ns = self._last_ns = 0
         self._read_due_s = self._repeat_due_s = self._error_due_s = 0.0
@@ -180,8 +184,11 @@ class OfferedArm:
             self._error_due_s = now + ERROR_S
             self._publish["error"](String(f"{self.name}: {text}"))
 
-    def tell(self, text: str, is_warning: bool) -> None:
-        """Says what the gate does, on `warning` or on `status`."""
+    def tell(self, text: str, is_warning: bool, now: float) -> None:
+        """Says what the gate does, on `warning` or on `status`; the same not again at once."""
+        if now < self._said_s.get(text, -inf) + SAID_S:
+            return
+        self._said_s[text] = now
         self._publish["warning" if is_warning else "status"](String(f"{self.name}: {text}"))
 
     def _read(self, state: ArmState, stamp: Time) -> None:
