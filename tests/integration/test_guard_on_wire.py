@@ -23,7 +23,7 @@ HELD_S, REST_S, PATIENCE_S = 0.1, 0.5, 20.0
 
 
 def test_what_a_client_streams_reaches_the_robot_bit_for_bit(tmp_path: Path) -> None:
-    """A machine that is late makes the gate hold the arms; what passed before has come bit for bit."""
+    """A machine that is late makes the gate stop the arms; what passed has come bit for bit."""
     script = [sys.executable, ROOT / "benchmarks/guard_latency.py", "--seconds", "4"]
     script += ["--domain", str(DOMAIN + 5)]
     output = tmp_path / "figures.json"
@@ -34,7 +34,7 @@ def test_what_a_client_streams_reaches_the_robot_bit_for_bit(tmp_path: Path) -> 
         figures = json.loads(output.read_text())
         assert 0 < figures["passed_bit_for_bit"] <= figures["sent"] == 800
         states = set(figures["states"].values())
-        assert states in ({"ENABLED"}, {"PAUSED"})
+        assert states in ({"ENABLED"}, {"PAUSED"}, {"FAULT"})
         if states == {"ENABLED"}:
             assert figures["passed_bit_for_bit"] == 800
             return
