@@ -64,7 +64,7 @@ class Rospy:
         import rospy  # noqa: PLC0415 - only where ROS 1 is
 
         del domain
-        self._rospy = rospy
+        self._rospy, self._made = rospy, list[Any]()
         if not rospy.core.is_initialized():  # a process is one node, whoever made it
             rospy.init_node("dvrk_client", anonymous=True, disable_signals=True)
 
@@ -74,10 +74,12 @@ class Rospy:
         return ros1_class(message)
 
     def hear(self, name: str, kind: Any, call: Callable[[Any], Any]) -> Callable[[], int]:
-        return self._rospy.Subscriber(name, kind, call).get_num_connections
+        self._made.append(self._rospy.Subscriber(name, kind, call))
+        return self._made[-1].get_num_connections
 
     def say(self, name: str, kind: Any, latch: bool) -> tuple[Any, Callable[[], int]]:
         made = self._rospy.Publisher(name, kind, latch=latch, queue_size=1)
+        self._made.append(made)
         return made.publish, made.get_num_connections
 
     def ask(self, name: str, request: type[Any], response: type[Any]) -> Callable[..., Any]:
@@ -93,7 +95,9 @@ class Rospy:
         return header.stamp.secs * NANO + header.stamp.nsecs
 
     def close(self) -> None:
-        """A process stays a node."""
+        """A process stays a node; nobody hears or latches anything any more."""
+        for made in self._made:
+            made.unregister()
 
 
 class Rclpy:
