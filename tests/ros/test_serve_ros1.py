@@ -72,6 +72,11 @@ class DvrkClient:
             assert time.monotonic() < deadline, f"{what}: {self.states[-1:]} {self.warnings[-3:]}"
             time.sleep(0.01)
 
+    def close(self) -> None:
+        """Nothing stays latched for the arms of other tests."""
+        self._command.unregister()
+        self._move.unregister()
+
     @property
     def summary(self) -> tuple[str, bool, bool]:
         if not self.states:
@@ -104,3 +109,4 @@ def test_an_unstamped_command_is_obeyed_by_the_server_it_is_for_and_not_by_the_n
         time.sleep(2.0)
         assert {state.state for state in client.states} == {"DISABLED"}
         assert not any(state.is_busy for state in client.states)
+    client.close()
