@@ -8,10 +8,10 @@ are kept an eye on. Only the operator's pedal arms the gate and lets a held run 
 from __future__ import annotations
 
 import contextlib
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import inf
-from queue import Empty, SimpleQueue
 from typing import Final
 
 from viskill_deploy.core.description import CellDescription
@@ -99,8 +99,8 @@ class Guard:
     ) -> None:
         self.driver, self.gate = driver, Supervisor(cell, driver.period_s)
         self._delivery = Delivery(driver, self.gate)
-        self._bell: SimpleQueue[None] = SimpleQueue()
-        self.arms = [OfferedArm(arm, transport, prefix, self._ring) for arm in cell.arms]
+        self._bell = threading.Event()
+        self.arms = [OfferedArm(arm, transport, prefix, self._bell.set) for arm in cell.arms]
         self._stream = ClientStream(self.arms, driver.period_s)
         self._recorder, self._show, self._links = recorder, tell, CellLinks(cell)
         self._named = named
@@ -119,20 +119,10 @@ class Guard:
         clock = self.driver.clock
         try:
             while not self.is_stop_wanted:
-                self._wait(self.turn(clock.now()) - clock.now())
+                self._bell.wait(max(self.turn(clock.now()) - clock.now(), 0.0))
+                self._bell.clear()
         finally:
             self.close()
-
-    def _ring(self) -> None:
-        """Something has come."""
-        self._bell.put(None)
-
-    def _wait(self, seconds: float) -> None:
-        """Until something has come, or time is up."""
-        with contextlib.suppress(Empty):
-            self._bell.get(timeout=max(seconds, 0.0))
-            while True:
-                self._bell.get_nowait()
 
     def ask_to_stop(self) -> None:
         """A person wants the end: acts at the next look."""
