@@ -134,6 +134,7 @@ class Guard:
         if self._is_armed:
             while self._is_due(now):
                 self._cycle(now)
+                now = max(self.driver.clock.now(), now)  # of several that wait, each takes its time
             if now >= self._ahead_s > self._read_s:
                 self._read(now)
                 return self._next_s(now)  # what else there is to do would be in the setpoint's way

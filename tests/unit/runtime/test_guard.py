@@ -15,7 +15,7 @@ from silent_recorder import SilentRecorder
 
 from viskill_deploy.core.calibration_files import calibrated
 from viskill_deploy.core.description import CellDescription, load_cell
-from viskill_deploy.core.types import Action, CellState, Mode, Verdict
+from viskill_deploy.core.types import Action, CellState, JointSetpoint, Mode, Verdict
 from viskill_deploy.drivers.crtk.inproc import Inproc
 from viskill_deploy.drivers.crtk.messages import (
     Empty,
@@ -232,6 +232,30 @@ def test_the_state_is_read_before_a_setpoint_is_due_and_anew_for_one_that_is_lat
         bench.guard.turn(clock.now() + late_s)
         assert len(reads) == count
         clock.sleep_until(clock.now() + PERIOD_S)
+    assert bench.guard.counts.stopped == 0
+
+
+def test_the_time_that_late_setpoints_take_is_no_silence_of_the_client(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.ready()
+    start, clock, servo_jp = bench.held("PSM1"), bench.driver.clock, bench.driver.servo_jp
+
+    def slow(setpoints: Sequence[JointSetpoint]) -> None:
+        servo_jp(setpoints)
+        clock.sleep_until(clock.now() + 0.003)
+
+    monkeypatch.setattr(bench.driver, "servo_jp", slow)
+    for k in range(1, 4):
+        bench.stream("PSM1", *swing(start, k))
+        bench.guard.turn(clock.now())
+    clock.sleep_until(clock.now() + 0.008)
+    for k in range(4, 8):
+        bench.stream("PSM1", *swing(start, k))
+    bench.guard.turn(clock.now())  # takes 12 ms
+    clock.sleep_until(clock.now() + PERIOD_S)
+    bench.guard.turn(clock.now())
+    assert bench.guard.gate.mode is Mode.RUNNING
     assert bench.guard.counts.stopped == 0
 
 
