@@ -23,21 +23,20 @@ HELD_S, REST_S, PATIENCE_S = 0.1, 0.5, 20.0
 
 
 def test_what_a_client_streams_reaches_the_robot_bit_for_bit(tmp_path: Path) -> None:
-    """A machine that is late makes the gate stop the arms; what passed has come bit for bit."""
+    """A machine that is late makes the gate hold the arms; then all is done once more."""
     script = [sys.executable, ROOT / "benchmarks/guard_latency.py", "--seconds", "4"]
     script += ["--domain", str(DOMAIN + 5)]
     output = tmp_path / "figures.json"
-    for _ in range(2):
+    for _ in range(TRIALS):
         subprocess.run(
             [*script, "--output", output], check=True, timeout=240, stdout=subprocess.DEVNULL
         )
         figures = json.loads(output.read_text())
         assert 0 < figures["passed_bit_for_bit"] <= figures["sent"] == 800
-        states = set(figures["states"].values())
-        assert states in ({"ENABLED"}, {"PAUSED"}, {"FAULT"})
-        if states == {"ENABLED"}:
+        if set(figures["states"].values()) == {"ENABLED"}:
             assert figures["passed_bit_for_bit"] == 800
             return
+    pytest.fail(f"the gate held the arms in all of {TRIALS} runs; make the machine less busy")
 
 
 class Onlooker:
