@@ -98,6 +98,9 @@ class Row:
 
 ROWS = [
     Row("tracking", "S23", Mode.FAULT, 0.005, "PSM1 is in FAULT (PSM1: tracking error"),
+    Row("potentiometers", "S23", Mode.FAULT, 0.005, "PSM1 is in FAULT (PSM1: inconsistency"),
+    Row("current", "S23", Mode.FAULT, 0.005, "PSM1 is in FAULT (PSM1: too many consecutive"),
+    Row("watchdog", "S23", Mode.FAULT, 0.005, "PSM1 is in FAULT (PSM1: watchdog triggered"),
     Row("power", "S23", Mode.ESTOPPED, 0.010, "PSM1 is in FAULT (PSM1: detected power loss"),
     Row("silence", "S18", Mode.FAULT, 0.060, ""),
     Row("invalid", "S23", Mode.FAULT, 0.015, ""),

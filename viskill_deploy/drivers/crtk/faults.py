@@ -12,6 +12,9 @@ from viskill_deploy.drivers.crtk.arm_on_wire import ArmOnWire
 
 Fault = Literal[
     "tracking",
+    "potentiometers",
+    "current",
+    "watchdog",
     "power",
     "silence",
     "invalid",
@@ -24,8 +27,9 @@ Fault = Literal[
     "paused",
     "disabled",
 ]
-"""tracking: tracking error, FAULT. power: the amplifiers have no power and get none meanwhile.
-silence: nothing periodic is published. invalid: what is published is marked as invalid. short:
+"""tracking: tracking error, FAULT. potentiometers, current, watchdog: the boards find encoders that
+contradict potentiometers, too much current, or no controller, and take the power: FAULT. power: the amplifiers have no
+power and get none meanwhile. silence: nothing periodic is published. invalid: what is published is marked as invalid. short:
 measured_js has five entries. nan: a measured joint is no number. following: a teleoperation says
 that it commands this arm. second commander: somebody else sends it servo_jp. clutch: the button on
 the arm is pressed. tool: the instrument is taken out. paused, disabled: another program says so to
@@ -46,9 +50,12 @@ def cause(arm: ArmOnWire, fault: str, is_on: bool) -> None:
     _ACTS[fault](arm, is_on)
 
 
-def _fail(arm: ArmOnWire, is_on: bool) -> None:
-    if is_on:
-        arm.arm.fail("tracking error, mask [1, 0, 0, 0, 0, 0, 0]")
+def _failing(why: str) -> Act:
+    def act(arm: ArmOnWire, is_on: bool) -> None:
+        if is_on:
+            arm.arm.fail(why)
+
+    return act
 
 
 def _supply(arm: ArmOnWire, is_on: bool) -> None:
@@ -106,7 +113,10 @@ def _nan(topic: str, message: Any) -> Any:
 
 
 _ACTS: dict[str, Act] = {
-    "tracking": _fail,
+    "tracking": _failing("tracking error, mask [1, 0, 0, 0, 0, 0, 0]"),
+    "potentiometers": _failing("inconsistency between encoders and potentiometers"),
+    "current": _failing("too many consecutive current safety violations"),
+    "watchdog": _failing("watchdog triggered"),
     "power": _supply,
     "silence": _silence,
     "invalid": _invalid,

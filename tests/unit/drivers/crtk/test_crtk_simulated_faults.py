@@ -116,11 +116,20 @@ def test_one_arm_can_lose_its_power(rig: Rig) -> None:
     assert recovers(rig)
 
 
-def test_a_tracking_fault_can_be_caused(rig: Rig) -> None:
-    rig.server.cause("tracking", "PSM1", True)
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        ("tracking", "tracking error"),
+        ("potentiometers", "inconsistency between encoders and potentiometers"),
+        ("current", "too many consecutive current safety violations"),
+        ("watchdog", "watchdog triggered"),
+    ],
+)
+def test_a_fault_that_takes_the_power_can_be_caused(rig: Rig, fault: str, said: str) -> None:
+    rig.server.cause(fault, "PSM1", True)
     rig.run(PERIOD_S)
     assert rig.client.summary == ("FAULT", False, False)
-    assert "tracking error" in rig.client.texts("error")[0]
+    assert said in rig.client.texts("error")[0]
     assert recovers(rig)
 
 
@@ -262,7 +271,7 @@ def test_instruments_have_dvrks_names(file: str, name: str) -> None:
     assert tool_type(file) == name
 
 
-@pytest.mark.parametrize("fault", [f for f in get_args(Fault) if f != "tracking"])
+@pytest.mark.parametrize("fault", get_args(Fault))
 def test_every_fault_can_be_ended_and_the_arm_be_had_back(rig: Rig, fault: str) -> None:
     rig.server.cause(fault, "PSM1", True)
     rig.run(0.5)
@@ -277,7 +286,7 @@ def test_every_fault_can_be_ended_and_the_arm_be_had_back(rig: Rig, fault: str) 
 
 
 def test_a_fault_or_an_arm_that_is_none_is_refused(rig: Rig) -> None:
-    with pytest.raises(DriverError, match="there are tracking, power"):
+    with pytest.raises(DriverError, match="there are tracking, potentiometers"):
         rig.server.cause("fire", "PSM1", True)
     with pytest.raises(DriverError, match="PSM1, PSM2"):
         rig.server.cause("power", "ECM", True)
