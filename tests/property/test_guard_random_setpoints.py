@@ -214,6 +214,54 @@ def test_random_safe_setpoints_pass_bit_for_bit(bench: Bench, count: int) -> Non
     assert (bench.guard.counts.stopped, bench.guard.counts.filled) == (0, 0)
 
 
+def looks(bench: Bench, seconds: float) -> None:
+    """Time passes, and the guard looks whenever it wants to."""
+    clock = bench.room.clock
+    end = clock.now() + seconds
+    due = bench.guard.turn(clock.now())
+    while due < end:
+        clock.sleep_until(max(due, clock.now() + 1e-5))
+        due = bench.guard.turn(clock.now())
+    clock.sleep_until(end)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("drift", [-0.001, 0.0, 0.001])
+def test_arms_of_programs_that_keep_no_step_are_moved_together(
+    bench: Bench, seed: int, drift: float
+) -> None:
+    """Two programs, each with an arm and a clock of its own, which drifts against the other's."""
+    rng = np.random.default_rng(seed)
+    rows, speeds = walk(rng, bench.start)
+    began, phase = bench.room.clock.now() + 0.001, float(rng.uniform(0.0, PERIOD_S))
+    due = [(began + k * PERIOD_S, k, 0) for k in range(WALK)]
+    due += [(began + phase + k * PERIOD_S * (1.0 + drift), k, 1) for k in range(WALK)]
+    bench.sent()
+    for at, k, arm in sorted(due):
+        looks(bench, at - bench.room.clock.now())
+        bench.ask(arm, rows[k, arm].tolist(), speeds[k, arm].tolist())
+    looks(bench, 0.1)
+    assert bench.guard.counts.stopped == 0
+    got = {(arm, q) for arm, q, _ in bench.sent()}
+    assert all((arm, tuple(rows[k, arm, :6])) in got for k in range(WALK) for arm in (0, 1))
+
+
+@pytest.mark.parametrize(("times", "is_fine"), [(1.04, True), (1.1, False), (4.0, False)])
+def test_a_client_that_is_faster_than_its_rate_is_stopped(
+    bench: Bench, times: float, is_fine: bool
+) -> None:
+    """What is slow enough for its period is not, when it comes in a shorter one."""
+    rows, _ = walk(np.random.default_rng(0), bench.start)
+    for k in range(WALK):
+        for arm in range(len(ARMS)):
+            bench.ask(arm, rows[k, arm].tolist())
+        looks(bench, PERIOD_S / times)
+        if bench.guard.gate.mode not in GOING:
+            break
+    assert is_fine == (bench.guard.counts.stopped == 0)
+    assert is_fine or k < (20 if times > 2.0 else 150)
+
+
 @pytest.mark.parametrize("count", [500, MANY])
 def test_random_unsafe_setpoints_are_every_one_stopped(bench: Bench, count: int) -> None:
     """Each at an armed gate, at rest or in mid-motion."""
@@ -232,6 +280,7 @@ def test_random_unsafe_setpoints_are_every_one_stopped(bench: Bench, count: int)
         stopped, arm = bench.guard.counts.stopped, int(rng.integers(len(ARMS)))
         bench.sent()
         unsafe = ask_for_something_unsafe(bench, rng, envelope, arm, q)
+        bench.turn()
         bench.turn()
         bench.guard.turn(bench.room.clock.now())  # what came alone is judged by now
         assert bench.guard.counts.stopped == stopped + 1, (number, unsafe)

@@ -86,7 +86,8 @@ def _guarded(
     """Guards until Ctrl-C."""
     with Recorder(folder / "recording", cell, driver.period_s) as recorder:
         recorder.wait_until_open()
-        guard = Guard(cell, driver, client, recorder, prefix, _tell, driver.recover, rule_label)
+        words = (_tell, driver.recover, rule_label, _say)
+        guard = Guard(cell, driver, client, recorder, prefix, *words)
         _say_what_is_where(guard, prefix, folder)
         threading.Thread(target=_hear_resets, args=(guard,), daemon=True).start()
         realtime.prepare()
@@ -99,6 +100,11 @@ def _tell(verdicts: Sequence[Verdict], mode: Mode) -> None:
     """One line for what has changed."""
     said = [f"{rule_label(v.rule)}: {action_label(v.action)}" for v in verdicts]
     print(f"{mode.value}{': ' * bool(said)}{'; '.join(dict.fromkeys(said))}", flush=True)
+
+
+def _say(text: str) -> None:
+    """What the robot's side has to say."""
+    print(f"robot: {text}", flush=True)
 
 
 def _say_what_is_where(guard: Guard, prefix: str, folder: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import dist, hypot, isfinite
+from math import dist, hypot, inf, isfinite
 from typing import Final
 
 from viskill_deploy.core.errors import KinematicsError
@@ -13,11 +13,21 @@ from viskill_deploy.drivers.crtk.offered_arm import Asked, OfferedArm
 TOGETHER_S: Final = 0.001
 """What the arms of one moment are sent arrives within this."""
 
+AWAITED: Final = 1.5
+"""Periods for which what an arm or a jaw in motion is sent is waited for, when the others' has come:
+programs that move an arm each keep no step, and one that is left out would stop at once."""
+
 LOST: Final = 3
 """Periods without a setpoint, while the arms move, after which the stream counts as broken off."""
 
 STILL: Final = 1e-9
-"""rad or m in a period."""
+"""rad or m in a period: where arms are this still, nobody can tell that a setpoint is missing."""
+
+EARLY: Final = 4
+"""Setpoints that may come before their time, such as after a wait for a processor."""
+
+FAST: Final = 1.05
+"""How much faster than it was said to be a client may be for ever: no two clocks are the same."""
 
 Setpoints = tuple[JointSetpoint, ...]
 
@@ -28,26 +38,32 @@ class ClientStream:
     Args:
         arms: what it sees of the cell.
         period_s: time between two setpoints of the client.
+        max_jerk: of each arm's joints and jaw, (7,) each, rad/s^3 or m/s^3.
 
     Attributes:
         sent: what the arms were sent last.
     """
 
-    def __init__(self, arms: Sequence[OfferedArm], period_s: float) -> None:
+    def __init__(
+        self, arms: Sequence[OfferedArm], period_s: float, max_jerk: Sequence[Sequence[float]]
+    ) -> None:
         self._arms, self._period_s = arms, period_s
+        # Half of the way in a period that the gate lets end at once.
+        self._still = [[0.5 * jerk * period_s**3 for jerk in arm] for arm in max_jerk]
         self._free = (True,) * len(arms)  # a jaw that opens is the client's wish
         self.begin(())
 
     def begin(self, held: Setpoints) -> None:
         """Starts at rest, at what the arms hold; what waits is of before."""
         self.sent, self._way = held, 0.0
-        self._expected = 0
+        self._expected = self._moving = 0
+        self._due_s = -inf  # when the next setpoint of a client that keeps its rate would come
         self.forget()
 
     @property
     def is_moving(self) -> bool:
-        """Whether the arms went anywhere in the last cycle."""
-        return self._way > STILL
+        """Whether the arms went too far in the last cycle to be at rest in the next."""
+        return self._moving > 0
 
     @property
     def is_waiting(self) -> bool:
@@ -64,9 +80,14 @@ class ClientStream:
         waiting = self._waiting()
         if not waiting:
             return since_s >= self.patience_s
-        if waiting & self._expected == self._expected:
-            return True
-        return now >= min([at for arm in self._arms for at in arm.arrivals]) + TOGETHER_S
+        return waiting & self._expected == self._expected or now >= self.together_s
+
+    @property
+    def together_s(self) -> float:
+        """Until when the rest of what has begun to come is waited for, driver's clock."""
+        missing = self._expected & self._moving & ~self._waiting()
+        wait_s = AWAITED * self._period_s if missing else TOGETHER_S
+        return min([at for arm in self._arms for at in arm.arrivals], default=-inf) + wait_s
 
     @property
     def patience_s(self) -> float:
@@ -78,28 +99,50 @@ class ClientStream:
         for arm in self._arms:
             arm.forget()
 
-    def requests(self, halt: str) -> list[Request]:
+    def requests(self, halt: str, now: float) -> list[Request]:
         """What the gate is asked, in order: what was lost on the way, and what has come.
 
         Args:
             halt: why the arms have to come to rest; "" when they have not.
+            now: driver's clock, s.
         """
         waiting = self._waiting()
         if halt or (not waiting and self.is_moving):
-            self.forget()
-            return [Request(None, failure=halt or "the client's stream has broken off")]
+            return self._stop(halt or "the client's stream has broken off")
         self._expected = waiting
         try:
-            return self._asked()
+            requests = self._asked()
         except KinematicsError as error:
-            self.forget()
-            return [Request(None, failure=str(error))]
+            return self._stop(str(error))
+        if self._is_early(len(requests), now):
+            rate = f"{1.0 / self._period_s:g}"
+            return self._stop(f"more than {rate} setpoints a second; start the guard with --rate")
+        return requests
 
     def note(self, sent: Setpoints) -> None:
         """Remembers what has passed."""
-        pairs = zip(self.sent, sent, strict=True)
-        self._way = sum([dist((*a.jp, a.jaw), (*b.jp, b.jaw)) for a, b in pairs])
+        self._way, self._moving = 0.0, 0
+        for a, b, still in zip(self.sent, sent, self._still, strict=True):
+            here, there = (*a.jp, a.jaw), (*b.jp, b.jaw)
+            self._way += dist(here, there)
+            *joints, jaw = [abs(y - x) > s for x, y, s in zip(here, there, still, strict=True)]
+            self._moving = self._moving << 2 | any(joints) << 1 | jaw
         self.sent = sent
+
+    def _stop(self, why: str) -> list[Request]:
+        """What waits is not looked at any more."""
+        self.forget()
+        return [Request(None, failure=why)]
+
+    def _is_early(self, count: int, now: float) -> bool:
+        """Whether so many more are too many for the time that has passed.
+
+        The gate takes one after the other for a period apart. Moving arms would go faster than it
+        can see if they came faster.
+        """
+        due_s = max(self._due_s, now) if self.is_moving else now
+        self._due_s = due_s + count * self._period_s / FAST
+        return self._due_s > now + (EARLY + 1) * self._period_s
 
     def _waiting(self) -> int:
         """Which streams have a setpoint that waits: two bits an arm, joints above jaw."""

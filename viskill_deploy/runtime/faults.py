@@ -14,6 +14,10 @@ from viskill_deploy.core.types import Action
 CYCLE_S = 0.008
 """In the cycle that meets the fault: a period until it begins, and one in which it is judged."""
 
+SAID_S = 0.012
+"""What the robot has to say first: a period until it does, and one until that is read and judged,
+which the processor may take a good part of."""
+
 
 @dataclass(frozen=True, slots=True)
 class Reaction:
@@ -116,7 +120,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault(
         "sigstop", "this program stands still for a second", *_always("S25", _E, 1.1), lasts_s=1.0
     ),
-    Fault("estop", "the emergency stop is pressed", *_always("S23", _E, CYCLE_S)),
+    Fault("estop", "the emergency stop is pressed", *_always("S23", _E, SAID_S)),
 )
 
 GRAMMAR = "name@start or name@start:duration, in seconds"

@@ -25,11 +25,12 @@ from viskill_deploy.core.types import (
     Request,
     Verdict,
 )
-from viskill_deploy.drivers.base import ENABLED, PAUSED, Driver
+from viskill_deploy.drivers.base import ENABLED, PAUSED
+from viskill_deploy.drivers.crtk.driver import CrtkDriver, nothing
 from viskill_deploy.drivers.crtk.offered_arm import Condition, OfferedArm
 from viskill_deploy.drivers.crtk.transport import Transport
 from viskill_deploy.motion.links import CellLinks
-from viskill_deploy.runtime.client_stream import TOGETHER_S, ClientStream
+from viskill_deploy.runtime.client_stream import ClientStream
 from viskill_deploy.runtime.delivery import Delivery
 from viskill_deploy.runtime.record import Recorder
 from viskill_deploy.safety.decision import Decision
@@ -61,6 +62,10 @@ class GuardCounts:
     filled: int = 0
 
 
+ENDS: Final = {"disable", "unhome", "pause", "hold"}
+"""Commands that end enabling and homing."""
+
+
 def _silent(verdicts: Sequence[Verdict], mode: Mode) -> None:
     """Nobody looks on."""
 
@@ -78,6 +83,7 @@ class Guard:
             mode without verdicts on `status`.
         recover: puts a robot right that was in FAULT, after a person has looked at it.
         named: words for a rule's id.
+        say: called with what the driver complains of.
 
     Attributes:
         gate: the gate.
@@ -89,22 +95,24 @@ class Guard:
     def __init__(
         self,
         cell: CellDescription,
-        driver: Driver,
+        driver: CrtkDriver,
         transport: Transport,
         recorder: Recorder,
         prefix: str = "guarded",
         tell: Callable[[Sequence[Verdict], Mode], None] = _silent,
         recover: Callable[[], None] = lambda: None,
         named: Callable[[str], str] = str,
+        say: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.driver, self.gate = driver, Supervisor(cell, driver.period_s)
         self._delivery = Delivery(driver, self.gate)
         self._bell = threading.Event()
         self.arms = [OfferedArm(arm, transport, prefix, self._bell.set) for arm in cell.arms]
-        self._stream = ClientStream(self.arms, driver.period_s)
+        jerks = [arm.max_jerk for arm in self.gate.envelope.arms]
+        self._stream = ClientStream(self.arms, driver.period_s, jerks)
         self._recorder, self._show, self._links = recorder, tell, CellLinks(cell)
         self._named = named
-        self._recover = recover
+        self._recover, self._say, self._complaint = recover, say, ""
         self._state, self._read_s = driver.state(), -inf
         self._last_s, self._told = driver.clock.now(), set[str]()
         self._told_mode = Mode.OFF
@@ -141,7 +149,7 @@ class Guard:
         elif now >= self._last_s + self.driver.period_s:
             self._await_operator(now)
         for arm, state in zip(self.arms, self._state.arms, strict=True):
-            arm.speak(state, self._condition(state), now)
+            self._speak(arm, state, self._condition(state), now)
         return self._next_s(now)
 
     def close(self) -> None:
@@ -166,7 +174,7 @@ class Guard:
 
     def _next_s(self, now: float) -> float:
         if self._is_armed and self._stream.is_waiting and not self._is_stopping:
-            return now + TOGETHER_S / 2
+            return self._stream.together_s
         is_streaming = self._is_armed and not (self._is_stopping or self._halt)
         if is_streaming and self._read_s < self._ahead_s:
             return self._ahead_s
@@ -186,7 +194,7 @@ class Guard:
         self._had_consent = has_consent
         if self._wants_on and self.gate.mode is Mode.HOLDING:
             self._go_on(state, now)
-        *lost, request = self._requests()
+        *lost, request = self._requests(now)
         for between in lost:
             if not self._judge(state, between, now, is_sent=False):
                 return
@@ -201,12 +209,12 @@ class Guard:
         is_no = inputs.consent is not True or inputs.estop is not False
         return is_no or 0.0 <= now - self._read_s < FRESH_S
 
-    def _requests(self) -> list[Request]:
+    def _requests(self, now: float) -> list[Request]:
         """What the gate is asked, in order; all but the last were never heard."""
         if self._is_stopping:
             self._stream.forget()
             return [Request(self._stream.sent)]
-        return self._stream.requests(self._halt)
+        return self._stream.requests(self._halt, now)
 
     def _judge(self, state: CellState, request: Request, now: float, is_sent: bool = True) -> bool:
         """One cycle of the gate; whether the request passed."""
@@ -309,12 +317,15 @@ class Guard:
         try:
             match word:
                 case "enable" | "home" if not self._is_armed:
-                    self._busy(now)
-                    (self.driver.enable if word == "enable" else self.driver.home)()
+                    self._make_ready(word, now)
                 case "enable" | "home":
                     pass
-                case "pause" | "hold":
-                    self._halt = f"the client asked for {word}" if self._stream.is_moving else ""
+                case "pause":
+                    self._halt = self._halt or "the client asked for pause"
+                case "hold" if self._stream.is_moving:
+                    self._halt = self._halt or "the client asked for hold"
+                case "hold":
+                    pass
                 case "disable":
                     self._wants_off = True
                     self._halt = "the client disables the arms"
@@ -327,10 +338,44 @@ class Guard:
         except DriverError as error:
             arm.error(str(error), now)
 
+    def _make_ready(self, word: str, now: float) -> None:
+        """Enabling and homing take a while, in which the client is told so and may end them.
+
+        Raises:
+            DriverError: the arms do not follow, or somebody wants something else.
+        """
+        if self.gate.latched > Action.HOLD:
+            raise DriverError(f'{word}: a person has to type "reset" at the guard first')
+        self._busy(now)
+        self.driver.meanwhile = self._attend
+        try:
+            (self.driver.enable if word == "enable" else self.driver.home)()
+        finally:
+            self.driver.meanwhile = nothing
+
+    def _attend(self) -> None:
+        """Looks on while the arms are enabled or homed.
+
+        Raises:
+            DriverError: a person or a client wants it to end.
+        """
+        now = self.driver.clock.now()
+        waiting = {word for arm in self.arms for word in arm.commands}
+        if self.is_stop_wanted or waiting & ENDS:
+            self.driver.hold()
+            raise DriverError("enabling or homing was ended before the arms were ready")
+        with contextlib.suppress(DriverError):  # the driver finds the same, and says so
+            self._state = self.driver.state()
+        self._busy(now)
+
     def _busy(self, now: float) -> None:
         """Says that enabling and homing take a while."""
         for arm, state in zip(self.arms, self._state.arms, strict=True):
-            arm.speak(state, Condition(state.operating_state, state.is_homed, True), now)
+            self._speak(arm, state, Condition(state.operating_state, state.is_homed, True), now)
+
+    def _speak(self, arm: OfferedArm, state: ArmState, condition: Condition, now: float) -> None:
+        with contextlib.suppress(DriverError):  # nobody is there to be told that nobody is told
+            arm.speak(state, condition, now)
 
     def _switch_off(self) -> None:
         """Power off at the client's wish; what is worse than a HOLD stays for a person to clear."""
@@ -343,7 +388,7 @@ class Guard:
     def _reset(self, now: float) -> None:
         """A person clears what has ended the run; never an emergency stop, never while moving."""
         if self.gate.reset(now) is Mode.CONNECTED:
-            self._is_armed = self._is_stopping = False
+            self._is_armed = self._is_stopping = self._wants_off = False
             self._had_consent = True
             self.driver.watch.release()
             try:
@@ -353,12 +398,18 @@ class Guard:
         self._tell((), self.gate.mode)
 
     def _complain(self, text: str, now: float) -> None:
+        """Passes on what the driver has to say, to people once."""
+        if text != self._complaint:
+            self._complaint = text
+            self._say(text)
         for arm in self.arms:
-            arm.error(text, now)
+            with contextlib.suppress(DriverError):
+                arm.error(text, now)
 
     def _condition(self, arm: ArmState) -> Condition:
         """What a client is told: PAUSED while the gate holds, busy until the operator agrees."""
-        match self.gate.mode:
+        mode = self.gate.mode if self._is_armed or arm.operating_state == ENABLED else Mode.OFF
+        match mode:
             case Mode.ARMED | Mode.RUNNING:
                 return Condition(ENABLED, True, False)
             case Mode.HOLDING:

@@ -259,6 +259,91 @@ def test_the_time_that_late_setpoints_take_is_no_silence_of_the_client(
     assert bench.guard.counts.stopped == 0
 
 
+def test_an_arm_whose_program_falls_silent_is_not_waited_for_long(bench: Bench) -> None:
+    bench.ready()
+    start = {arm: bench.held(arm) for arm in ARMS}
+    for k in range(1, 70):
+        for arm in ARMS if k < 40 else ARMS[:1]:
+            bench.stream(arm, *swing(start[arm], k, 0.05))
+        bench.step()
+    assert bench.guard.gate.mode is Mode.HOLDING
+    assert bench.held("PSM2")[0] == pytest.approx(swing(start["PSM2"], 40, 0.05)[0][0], abs=5e-3)
+
+
+def test_a_motion_that_ends_on_its_goal_has_not_broken_off(bench: Bench) -> None:
+    bench.ready()
+    start = bench.held("PSM1")
+    for k in range(1, 201):
+        x = k / 200
+        way = 0.05 * x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
+        bench.stream("PSM1", [start[0] + way, *start[1:]])
+        bench.step()
+    bench.step(100)
+    assert bench.guard.counts.stopped == 0
+    assert bench.guard.gate.mode is Mode.RUNNING
+    assert bench.held("PSM1")[0] == start[0] + 0.05
+
+
+def test_what_a_client_takes_back_is_taken_back(bench: Bench) -> None:
+    """A hold of one arm does not undo that another was disabled; a pause holds arms at rest."""
+    bench.ready()
+    stamp = Header(Time.of_ns(bench.client.stamp_ns()))
+    bench.out["PSM1/state_command"](StringStamped(stamp, "disable"))
+    bench.out["PSM2/hold"](Empty())
+    bench.step(40)
+    assert {arm.operating_state for arm in bench.driver.state().arms} == {"DISABLED"}
+    bench.ready()
+    bench.command("pause")
+    bench.step(20)
+    assert bench.states["PSM1"].state == bench.states["PSM2"].state == "PAUSED"
+
+
+@pytest.mark.parametrize("by", ["client", "person"])
+def test_homing_can_be_ended_and_is_told_of_meanwhile(
+    bench: Bench, by: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.driver.say(consent=False)
+    bench.step(3)
+    bench.command("enable")
+    bench.step(5)
+    seen: list[OperatingState] = []
+    meanwhile = bench.guard._attend
+
+    def look() -> None:
+        meanwhile()
+        seen.append(bench.states["PSM1"])
+        if len(seen) == 3 and by == "client":
+            bench.command("disable")
+        elif len(seen) == 3:
+            bench.guard.ask_to_stop()
+
+    monkeypatch.setattr(bench.guard, "_attend", look)
+    monkeypatch.setattr(bench.driver, "_is_reached", lambda wish: False)
+    bench.command("home")
+    monkeypatch.setattr(bench.driver, "_press", lambda: None)
+    bench.guard.turn(bench.driver.clock.now())
+    monkeypatch.undo()
+    assert len(seen) == 3
+    assert all(word.is_busy for word in seen)
+    bench.step(20)
+    assert any("ended before" in said for said in bench.errors)
+    if by == "client":
+        assert {arm.operating_state for arm in bench.driver.state().arms} == {"DISABLED"}
+
+
+def test_a_client_hears_two_reasons_and_a_person_each_one_once(bench: Bench) -> None:
+    said: list[str] = []
+    bench.guard._say = said.append
+    for now in (10.0, 10.2, 10.4):
+        bench.guard._complain("PSM1 has no instrument", now)
+    bench.guard._complain("a teleoperation commands PSM1", 10.6)
+    assert [text for text in bench.errors if text.startswith("PSM1")] == [
+        "PSM1: PSM1 has no instrument",
+        "PSM1: a teleoperation commands PSM1",
+    ]
+    assert said == ["PSM1 has no instrument", "a teleoperation commands PSM1"]
+
+
 def test_a_pedal_that_was_seen_let_go_counts_however_late_the_setpoint_is(bench: Bench) -> None:
     bench.ready()
     start, clock = bench.held("PSM1"), bench.driver.clock
@@ -401,16 +486,16 @@ def test_a_client_that_disables_the_arms_clears_no_stop_and_no_fault(
     bench.command("disable")
     bench.step(10)
     assert {arm.operating_state for arm in bench.driver.state().arms} == {"DISABLED"}
+    assert bench.states["PSM1"].state == "DISABLED", "as the client waits for"
     for word in ("enable", "home"):
         bench.command(word)
-        bench.step(5)
-    bench.agree()
+        bench.step(50)
+    assert any('type "reset" at the guard' in said for said in bench.errors)
+    assert {arm.operating_state for arm in bench.driver.state().arms} == {"DISABLED"}
     assert bench.guard.gate.latched is latched
-    assert bench.guard.gate.mode not in GOING
     bench.guard.is_reset_wanted = True
     bench.step(2)
-    bench.agree()
-    assert bench.guard.gate.mode in GOING
+    bench.ready()
 
 
 def test_a_client_that_dies_in_mid_motion_is_stopped_within_100_ms(bench: Bench) -> None:
@@ -454,7 +539,7 @@ def test_setpoints_lost_on_the_way_are_judged_by_what_lay_between(bench: Bench) 
             bench.stream("PSM1", *swing(start, k, 0.02))
         bench.step()
     assert bench.guard.counts.stopped == 0
-    assert bench.guard.counts.filled >= 22  # of 24: near rest nothing shows that one is missing
+    assert bench.guard.counts.filled >= 20  # of 24: near rest nothing shows that one is missing
     lost = sum(k % 17 in (3, 4) for k in range(1, 201))
     assert len(bench.received["PSM1/servo_jp"]) >= 200 - lost, "what was lost is not sent"
 

@@ -52,6 +52,10 @@ class CrtkOptions:
     source: str = "operator_present"
 
 
+def nothing() -> None:
+    """Nobody looks on."""
+
+
 class CrtkDriver:
     """dVRK arms over CRTK.
 
@@ -66,6 +70,7 @@ class CrtkDriver:
 
     Attributes:
         arms: what is known of each.
+        meanwhile: called every period while arms are waited for; ends that by a DriverError.
     """
 
     capabilities = Capabilities(simulated=False, stepped=False, resettable=False, sees_scene=False)
@@ -79,6 +84,7 @@ class CrtkDriver:
     ) -> None:
         self.clock: Clock = MonotonicClock()
         self.period_s, self.arms = options.period_s, list[ArmClient]()
+        self.meanwhile: Callable[[], None] = nothing
         self._cell, self._transport, self._options = cell, transport, options
         self._start_watch = start_watch
         self._watch: Watch | None = None
@@ -333,4 +339,5 @@ class CrtkDriver:
         while not done():
             if self.clock.now() > deadline:
                 raise DriverError(why())
+            self.meanwhile()
             self.clock.sleep_until(self.clock.now() + self.period_s)

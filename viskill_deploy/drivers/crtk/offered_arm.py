@@ -39,6 +39,9 @@ READ_S: Final = 0.01
 ERROR_S: Final = 2.0
 """What is refused again and again is told this often."""
 
+BUSY_S: Final = 0.1
+"""Between any two errors, however many differ."""
+
 SAID_S: Final = 0.5
 """A client that hovers at a limit would be told of it with every other setpoint."""
 
@@ -104,7 +107,7 @@ class OfferedArm:
         self, arm: CellArm, transport: Transport, prefix: str, wake: Callable[[], None]
     ) -> None:
         self.name, self._wake, self._transport = arm.name, wake, transport
-        self._cartesian, self._tool = Cartesian(arm), tool_type(arm.arm.tool)
+        self._cartesian, self._tool = Cartesian(arm), arm.arm.tool
         self._joints = tuple(joint.name for joint in arm.arm.joints)
         self._root = f"/{prefix}/{arm.name}" if prefix else f"/{arm.name}"
         self._stale = StaleCheck(transport.stamp_ns())
@@ -115,9 +118,10 @@ class OfferedArm:
         self._said_s: dict[str, float] = {}
         self._told, self._heard = Condition("", False, False), set[str]()
         self._stamp_ns = self._last_ns = 0
-        self._read_due_s = self._repeat_due_s = self._error_due_s = 0.0
+        self._read_due_s = self._repeat_due_s = 0.0
+        self._error, self._error_s = "", -inf
         self._publish = {name: self._publisher(name) for name in SAID}
-        self._publish["tool_type"](String(self._tool))
+        self._publish["tool_type"](String(tool_type(self._tool)))
         self._listen()
 
     @property
@@ -164,6 +168,9 @@ class OfferedArm:
         """
         while self._refusals:
             self.error(self._refusals.popleft(), now)
+        if state.tool != self._tool:
+            self._tool = state.tool
+            self._publish["tool_type"](String(tool_type(self._tool) if self._tool else ""))
         is_time = now >= self._repeat_due_s
         if is_time:
             self._heard = {kind for kind in POSES if self._is_heard(kind)}
@@ -180,8 +187,9 @@ class OfferedArm:
 
     def error(self, text: str, now: float) -> None:
         """Says why something was not done; seldom, if it goes on."""
-        if now >= self._error_due_s:
-            self._error_due_s = now + ERROR_S
+        since_s = now - self._error_s
+        if since_s >= (ERROR_S if text == self._error else BUSY_S):
+            self._error, self._error_s = text, now
             self._publish["error"](String(f"{self.name}: {text}"))
 
     def tell(self, text: str, is_warning: bool, now: float) -> None:
