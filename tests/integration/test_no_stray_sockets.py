@@ -53,11 +53,18 @@ def test_a_served_robot_and_a_guard_before_it_are_not_reached_from_outside(tmp_p
             has_none(guard, two, "stop with Ctrl-C")
 
 
-def test_a_socket_for_everybody_would_be_found(tmp_path: Path) -> None:
-    code = (
-        "import json, socket, sys; from crtk_peer import strays; one = socket.socket(); "
-        "one.bind(('0.0.0.0', 0)); one.listen(); print(json.dumps(strays()))"
-    )
+OPEN = "import socket, time; one = socket.socket(); one.bind(('0.0.0.0', 0)); one.listen(); "
+
+
+@pytest.mark.parametrize("is_childs", [False, True])
+def test_a_socket_for_everybody_would_be_found(is_childs: bool) -> None:
+    code = "import json, os, time; from crtk_peer import strays; "
+    if is_childs:
+        code += "up, told = os.pipe(); child = os.fork()\nif not child:\n  "
+        code += OPEN + "os.write(told, b'x'); time.sleep(60)\n"
+        code += "os.read(up, 1); print(json.dumps(strays())); os.kill(child, 9)"
+    else:
+        code += OPEN + "print(json.dumps(strays()))"
     done = subprocess.run(
         [sys.executable, "-c", code],
         cwd=PROGRAM.parent,

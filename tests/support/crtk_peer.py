@@ -6,6 +6,7 @@ What it does is its second argument: "echo" sends back what comes, "latch" has s
 
 import ctypes
 import json
+import os
 import socket
 import subprocess
 import sys
@@ -69,18 +70,26 @@ def place(request: ForwardKinematicsRequest) -> ForwardKinematicsResponse:
 
 
 def strays() -> list[str]:
-    """Sockets of this process that others than this machine's loopback could reach."""
+    """Sockets of this process and its children that others than this machine could reach."""
+    children = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+    return [text for process in (os.getpid(), *map(int, children)) for text in strays_of(process)]
+
+
+def strays_of(process: int) -> list[str]:
+    """Sockets of one process."""
     handles = {}
-    for link in tuple(Path("/proc/self/fd").iterdir()):
+    for link in tuple(Path(f"/proc/{process}/fd").iterdir()):
         with suppress(FileNotFoundError):
             handles[str(link.readlink())] = int(link.name)
     found = []
     for table in ("tcp", "tcp6", "udp", "udp6"):
-        for line in Path(f"/proc/self/net/{table}").read_text().splitlines()[1:]:
+        for line in Path(f"/proc/{process}/net/{table}").read_text().splitlines()[1:]:
             columns = line.split()
             address, port = columns[1].split(":")
             handle = handles.get(f"socket:[{columns[9]}]")
-            if handle is None or address.endswith(LOCAL[len(address)]) or device(handle) == b"lo":
+            if handle is None or address.endswith(LOCAL[len(address)]):
+                continue
+            if (device(handle) if process == os.getpid() else lent(process, handle)) == b"lo":
                 continue
             found.append(f"{table} {address}:{int(port, 16)}")
     return found
@@ -88,6 +97,21 @@ def strays() -> list[str]:
 
 LOCAL = {8: "7F", 32: "00000000000000000000000001000000"}
 """How 127.0.0.0/8 and ::1 end in the kernel's tables, by the length of an address."""
+
+
+PIDFD_GETFD = 438
+
+
+def lent(process: int, handle: int) -> bytes:
+    """The device that another process's socket is tied to."""
+    other = os.pidfd_open(process)
+    own = ctypes.CDLL(None).syscall(PIDFD_GETFD, other, handle, 0)
+    os.close(other)
+    assert own >= 0, f"no look at the sockets of process {process}"
+    try:
+        return device(own)
+    finally:
+        os.close(own)
 
 
 def device(handle: int) -> bytes:

@@ -23,6 +23,7 @@ from viskill_deploy.cli.reaching import (
     Carrier,
     Domain,
     Interface,
+    Pedal,
     Reached,
     RobotChoice,
     TransportChoice,
@@ -43,6 +44,7 @@ from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import Interrupted
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.drivers.base import Driver
+from viskill_deploy.drivers.crtk.driver import CONSOLE
 from viskill_deploy.drivers.crtk.opening import Network, open_transport
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.observe.preflight_table import print_preflight
@@ -92,6 +94,7 @@ def command(
     transport: Carrier = TransportChoice.AUTO,
     domain: Domain = None,
     interface: Interface = "",
+    pedal: Pedal = CONSOLE,
     can: CanFile = "",
     speed: Annotated[
         float | None,
@@ -149,7 +152,9 @@ def command(
     else:
         if truth or noise is not None or outliers is not None:
             raise typer.BadParameter("--truth, --noise and --outliers are the loopback's")
-        options = RobotOptions(driver.value, can=can, transport=transport.value, network=network)
+        options = RobotOptions(
+            driver.value, can=can, transport=transport.value, network=network, console=pedal
+        )
         robot = connected(described, options)
         try:
             robot.node = robot.node or open_transport(options.transport, network)

@@ -17,6 +17,7 @@ from viskill_deploy.cli.reaching import (
     Carrier,
     Domain,
     Interface,
+    Pedal,
     Reached,
     RobotChoice,
     TransportChoice,
@@ -34,6 +35,7 @@ from viskill_deploy.core.errors import (
     ViskillError,
 )
 from viskill_deploy.drivers.base import Driver
+from viskill_deploy.drivers.crtk.driver import CONSOLE
 from viskill_deploy.drivers.crtk.opening import Network
 from viskill_deploy.observe.labels import rule_label
 from viskill_deploy.observe.preflight_table import print_preflight, summary
@@ -89,6 +91,7 @@ def command(
     transport: Carrier = TransportChoice.AUTO,
     domain: Domain = None,
     interface: Interface = "",
+    pedal: Pedal = CONSOLE,
     mode: Annotated[
         ModeName, typer.Option(help="Plan first and stream, or ask the policy at every step.")
     ] = ModeName.PLAN,
@@ -172,6 +175,7 @@ def command(
         inputs=inputs,
         transport=transport.value,
         network=network,
+        console=pedal,
         world=world,
     )
     found = connected(prepared.cell, chosen)

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from viskill_deploy.cli.reaching import Carrier, Domain, Interface, TransportChoice
+from viskill_deploy.cli.reaching import Carrier, Domain, Interface, Pedal, TransportChoice
 from viskill_deploy.cli.run_folder import new_folder
 from viskill_deploy.cli.sources import Calibration
 from viskill_deploy.core import realtime
@@ -19,7 +19,7 @@ from viskill_deploy.core.calibration_files import is_simulated
 from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.types import Mode, Verdict
-from viskill_deploy.drivers.crtk.driver import CrtkDriver, CrtkOptions
+from viskill_deploy.drivers.crtk.driver import CONSOLE, CrtkDriver, CrtkOptions
 from viskill_deploy.drivers.crtk.opening import Network, open_transport
 from viskill_deploy.drivers.crtk.robot import connect
 from viskill_deploy.drivers.crtk.transport import Transport
@@ -40,6 +40,7 @@ def command(
     transport: Carrier = TransportChoice.AUTO,
     domain: Domain = None,
     interface: Interface = "",
+    pedal: Pedal = CONSOLE,
     prefix: Annotated[
         str, typer.Option(help='Clients find the arms under it, such as "/guarded/PSM1".')
     ] = "guarded",
@@ -67,7 +68,7 @@ def command(
             flush=True,
         )
     network = Network(domain, interface, "viskill_guard")
-    driver = connect(described, transport.value, network, CrtkOptions(period_s=1.0 / rate))
+    driver = connect(described, transport.value, network, CrtkOptions(1.0 / rate, pedal))
     with contextlib.ExitStack() as opened:
         opened.callback(driver.close)
         client = open_transport(transport.value, Network(domain, interface, "viskill_guarded"))

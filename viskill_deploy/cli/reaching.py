@@ -43,6 +43,12 @@ Interface = Annotated[
     str,
     typer.Option(help="Address of this machine on the robot's network, if it needs one."),
 ]
+Pedal = Annotated[
+    str,
+    typer.Option(
+        "--console", help="Console of CRTK whose pedal counts: /NAME/operator_present is heard."
+    ),
+]
 CanFile = Annotated[
     str, typer.Option(help="CAN file, by name or path; that of the cell's name by default.")
 ]

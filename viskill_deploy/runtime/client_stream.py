@@ -14,7 +14,7 @@ TOGETHER_S: Final = 0.001
 """What the arms of one moment are sent arrives within this."""
 
 AWAITED: Final = 1.5
-"""Periods for which what an arm or a jaw in motion is sent is waited for, when the others' has come:
+"""Periods for which the setpoint of a moving arm or jaw is waited for when others' have come:
 programs that move an arm each keep no step, and one that is left out would stop at once."""
 
 LOST: Final = 3

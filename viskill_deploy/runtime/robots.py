@@ -11,6 +11,7 @@ from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DataFileError
 from viskill_deploy.core.scene_files import SeenScene
 from viskill_deploy.drivers.base import Driver
+from viskill_deploy.drivers.crtk.driver import CONSOLE, CrtkOptions
 from viskill_deploy.drivers.crtk.opening import Network, open_transport
 from viskill_deploy.drivers.crtk.transport import Transport
 from viskill_deploy.runtime.driving import simulated_driver, with_inputs
@@ -40,6 +41,7 @@ class RobotOptions:
         inputs: node whose consent and emergency stop count, such as "can:pedal".
         transport: what carries CRTK.
         network: where the robot of CRTK, or the tracker, is.
+        console: name of the console of CRTK whose operator agrees to motion.
         world: what is not perfect about the simulated cell.
     """
 
@@ -50,6 +52,7 @@ class RobotOptions:
     inputs: str = ""
     transport: str = "auto"
     network: Network = field(default_factory=Network)
+    console: str = CONSOLE
     world: WorldOptions = field(default_factory=WorldOptions)
 
 
@@ -104,7 +107,8 @@ def _connected(cell: CellDescription, options: RobotOptions) -> Robot:
 def _over_crtk(cell: CellDescription, options: RobotOptions) -> Robot:
     from viskill_deploy.drivers.crtk import robot as crtk  # noqa: PLC0415 - optional
 
-    driver = crtk.connect(cell, options.transport, options.network)
+    drive = CrtkOptions(console=options.console)
+    driver = crtk.connect(cell, options.transport, options.network, drive)
     return Robot(driver, driver.node, is_lent=True, arms=driver)
 
 

@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import sys
+from pathlib import Path
 
 import pytest
 from crtk_domain import DOMAIN
@@ -10,6 +11,7 @@ from typer.testing import CliRunner
 
 from viskill_deploy.cli.main import app
 from viskill_deploy.core.errors import DriverError, MissingExtraError, MissingRosError
+from viskill_deploy.drivers.crtk import readiness as crtk_readiness
 from viskill_deploy.drivers.crtk.opening import LOOPBACK, Network, open_transport
 from viskill_deploy.drivers.crtk.readiness import MODULES, choose, readiness
 
@@ -19,6 +21,7 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> set[str]:
     """What seems to be installed; the test fills it."""
     names: set[str] = set()
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: name if name in names else None)
+    monkeypatch.setattr(crtk_readiness, "_useless", lambda modules: ())
     monkeypatch.delenv("ROS_VERSION", raising=False)
     return names
 
@@ -52,6 +55,17 @@ def test_where_there_is_none_the_part_to_install_is_named(installed: set[str]) -
     assert "python3-rospy" in readiness("ros1").advice
     installed.add("genpy")
     assert readiness("ros1").advice == ""
+
+
+def test_a_ros_of_another_python_is_found_and_not_taken_for_one_that_works(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "ros_of_old.py").write_text("print('hello')\nimport _made_for_python_3_10\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setitem(MODULES, "ros2", ("json", "ros_of_old"))
+    assert readiness("ros2").missing == ("ros_of_old",)
+    assert choose().name == "dds"
 
 
 def test_no_advice_names_the_unrelated_package_crtk() -> None:

@@ -33,6 +33,9 @@ CONNECT_S: Final = 10.0
 SAMPLE_S: Final = 0.5
 """How long an arm that is there gets to say where it is."""
 
+CONSOLE: Final = "console"
+"""dVRK's name for the console of a system that has one."""
+
 TOOL_S: Final = 1.0
 """How long after homing an arm's word on its instrument may take."""
 
@@ -48,7 +51,7 @@ class CrtkOptions:
     """
 
     period_s: float = 0.005
-    console: str = "console"
+    console: str = CONSOLE
     source: str = "operator_present"
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import os
+import subprocess
+import sys
 from dataclasses import dataclass
 
 from viskill_deploy.core.errors import MissingExtraError
@@ -26,6 +29,17 @@ ADVICE: dict[TransportName, str] = {
     "dds": "pip install 'viskill-deploy[ros]'",
 }
 """What to do where something is missing."""
+
+
+TRY = """
+import importlib, os, sys
+said, sys.stdout = sys.stdout, open(os.devnull, "w")
+for name in sys.argv[1:]:
+    try:
+        importlib.import_module(name)
+    except Exception:
+        print(name, file=said)
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +66,23 @@ class Choice:
 
 
 def readiness(name: TransportName) -> Readiness:
-    """What a transport lacks here; nothing is imported."""
-    missing = tuple(m for m in MODULES[name] if importlib.util.find_spec(m) is None)
+    """What a transport lacks here.
+
+    What is there is imported too, by a process of its own: the packages of a ROS that was made for
+    another Python are found and do not work.
+    """
+    modules = MODULES[name]
+    missing = tuple(m for m in modules if importlib.util.find_spec(m) is None) or _useless(modules)
     return Readiness(name, missing, ADVICE[name] if missing else "")
+
+
+@functools.cache
+def _useless(modules: tuple[str, ...]) -> tuple[str, ...]:
+    """Those that this Python cannot import."""
+    run = subprocess.run(
+        [sys.executable, "-c", TRY, *modules], capture_output=True, text=True, check=False
+    )
+    return tuple(run.stdout.split()) if run.returncode == 0 else modules
 
 
 def choose() -> Choice:

@@ -535,6 +535,18 @@ def test_consent_is_the_pedal_and_only_while_it_is_pressed(room: Room, driver: C
         assert inputs.consent_stamp_s == pytest.approx(driver.clock.now() - 0.02)
 
 
+def test_the_pedal_of_the_named_console_counts_and_no_other(room: Room):
+    driver = CrtkDriver(CELL, room.node, CrtkOptions(console="console2"), OwnTime)
+    driver.clock = room.clock
+    driver.connect()
+    room.present(1)
+    assert not wait(driver, 0.02).inputs.consent
+    second = room.console.publisher("/console2/operator_present", Joy, True)
+    second(Joy(Header(Time.of_ns(room.node.stamp_ns())), (), (1,)))
+    assert wait(driver, 0.02).inputs.consent
+    driver.close()
+
+
 def test_consent_lives_while_arms_and_console_are_there(room: Room, driver: CrtkDriver):
     room.present(1)
     state = wait(driver, 0.5)
