@@ -100,6 +100,7 @@ ROWS = [
     Row("tracking", "S23", Mode.FAULT, 0.005, "PSM1 is in FAULT (PSM1: tracking error"),
     Row("potentiometers", "S23", Mode.FAULT, 0.005, "PSM1 is in FAULT (PSM1: inconsistency"),
     Row("current", "S23", Mode.FAULT, 0.005, "PSM1 is in FAULT (PSM1: too many consecutive"),
+    Row("amplifiers", "S23", Mode.FAULT, 0.005, "PSM1 is in FAULT (PSM1: hardware error"),
     Row("watchdog", "S23", Mode.FAULT, 0.005, "PSM1 is in FAULT (PSM1: watchdog triggered"),
     Row("power", "S23", Mode.ESTOPPED, 0.010, "PSM1 is in FAULT (PSM1: detected power loss"),
     Row("silence", "S18", Mode.FAULT, 0.060, ""),
@@ -174,6 +175,15 @@ def test_after_a_fault_the_arms_go_again_when_a_person_has_looked_and_not_before
     run.driver.reset(LAYOUT)
     run.go()
     assert run.session.cycle()
+
+
+def test_arms_that_get_no_power_are_named_with_what_they_say():
+    driver = SteppedCrtk(CELL, server=ServerOptions(homing="stay"))
+    driver.connect()
+    driver.front.cause("power", "PSM2", True)
+    with pytest.raises(DriverError, match=r"PSM2 .*failed to enable power"):
+        driver.enable()
+    driver.close()
 
 
 def test_arms_about_which_there_is_doubt_are_paused_before_they_lose_their_power():

@@ -14,6 +14,7 @@ Fault = Literal[
     "tracking",
     "potentiometers",
     "current",
+    "amplifiers",
     "watchdog",
     "power",
     "silence",
@@ -27,14 +28,14 @@ Fault = Literal[
     "paused",
     "disabled",
 ]
-"""tracking: tracking error, FAULT. potentiometers, current, watchdog: the boards find encoders
-that contradict potentiometers, too much current, or no controller, and take the power: FAULT.
-power: the amplifiers have no power and get none meanwhile. silence: nothing periodic is published.
-invalid: what is published is marked as invalid. short: measured_js has five entries. nan: a
-measured joint is no number. following: a teleoperation says that it commands this arm. second
-commander: somebody else sends it servo_jp. clutch: the button on the arm is pressed. tool: the
-instrument is taken out. paused, disabled: another program says so to the arm, which is not ready
-for setpoints then."""
+"""tracking: tracking error, FAULT. potentiometers, current, amplifiers, watchdog: the boards find
+encoders that contradict potentiometers, too much current, an amplifier that fails, or no
+controller, and take the power: FAULT. power: the amplifiers have no power and get none meanwhile.
+silence: nothing periodic is published. invalid: what is published is marked as invalid. short:
+measured_js has five entries. nan: a measured joint is no number. following: a teleoperation says
+that it commands this arm. second commander: somebody else sends it servo_jp. clutch: the button on
+the arm is pressed. tool: the instrument is taken out. paused, disabled: another program says so to
+the arm, which is not ready for setpoints then."""
 
 Act = Callable[[ArmOnWire, bool], None]
 """Begins or ends a fault."""
@@ -117,6 +118,7 @@ _ACTS: dict[str, Act] = {
     "tracking": _failing("tracking error, mask [1, 0, 0, 0, 0, 0, 0]"),
     "potentiometers": _failing("inconsistency between encoders and potentiometers"),
     "current": _failing("too many consecutive current safety violations"),
+    "amplifiers": _failing("hardware error, an amplifier is disabled or too hot"),
     "watchdog": _failing("watchdog triggered"),
     "power": _supply,
     "silence": _silence,

@@ -122,6 +122,7 @@ def test_one_arm_can_lose_its_power(rig: Rig) -> None:
         ("tracking", "tracking error"),
         ("potentiometers", "inconsistency between encoders and potentiometers"),
         ("current", "too many consecutive current safety violations"),
+        ("amplifiers", "an amplifier is disabled or too hot"),
         ("watchdog", "watchdog triggered"),
     ],
 )
