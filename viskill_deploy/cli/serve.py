@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import enum
+import sys
+import threading
+from collections.abc import Iterable
 from typing import Annotated, Any
 
 import typer
@@ -24,6 +27,7 @@ from viskill_deploy.drivers.loopback_cell import LoopbackCell
 from viskill_deploy.sim.tracker import TrackerOptions
 from viskill_deploy.sim.world import WorldOptions
 
+OPERATOR = "press or release (the pedal), stop or clear (the emergency stop)"
 EXAMPLE = "Example: viskill serve crtk --transport dds --arms PSM1,PSM2 --cell bipegtransfer"
 
 app = typer.Typer(
@@ -109,7 +113,10 @@ def crtk(
     world = set_up(described, seed, options)
     node = open_transport(transport.value, Network(domain, interface, "viskill_serve"))
     try:
-        front = CrtkCell(LoopbackCell(world), node, server, Announcer())
+        loopback = LoopbackCell(world)
+        front = CrtkCell(loopback, node, server, Announcer())
+        operator = threading.Thread(target=be_operator, args=(loopback, sys.stdin), daemon=True)
+        operator.start()
         print(_told(front, node.name, server, interface, truth), flush=True)
         realtime.prepare(
             realtime.ROBOT_PRIORITY
@@ -119,6 +126,20 @@ def crtk(
         print("stopped", flush=True)
     finally:
         node.close()
+
+
+def be_operator(cell: LoopbackCell, lines: Iterable[str]) -> None:
+    """Does what is typed at the terminal, as the operator at the console."""
+    for line in lines:
+        match line.strip():
+            case "press" | "release" as word:
+                cell.say(consent=word == "press")
+            case "stop" | "clear" as word:
+                cell.say(estop=word == "stop")
+            case other:
+                print(f'"{other}" is none of these: {OPERATOR}', flush=True)
+                continue
+        print(f"operator: {line.strip()}", flush=True)
 
 
 def _told(
@@ -137,5 +158,6 @@ def _told(
         f"things:  {things} (no dVRK has these)\n"
         f"tracker: {tips}\n"
         f"{hidden}"
+        f"type {OPERATOR}\n"
         "stop with Ctrl-C"
     )
