@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import threading
+import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -90,10 +91,14 @@ def _guarded(
         words = (_tell, driver.recover, rule_label, _say)
         guard = Guard(cell, driver, client, recorder, prefix, *words)
         _say_what_is_where(guard, prefix, folder)
-        threading.Thread(target=_hear_resets, args=(guard,), daemon=True).start()
+        listener = weakref.proxy(guard)  # a thread that waits for ever owns nothing
+        threading.Thread(target=_hear_resets, args=(listener,), daemon=True).start()
         realtime.prepare()
-        with interruptible(guard):
-            guard.run()
+        try:
+            with interruptible(guard):
+                guard.run()
+        finally:
+            realtime.release()  # what is frozen would be reported as leaked at the very end
     return guard.counts
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 import sys
 import threading
+import weakref
 from collections.abc import Iterable
 from typing import Annotated, Any
 
@@ -115,8 +116,8 @@ def crtk(
     try:
         loopback = LoopbackCell(world)
         front = CrtkCell(loopback, node, server, Announcer())
-        operator = threading.Thread(target=be_operator, args=(loopback, sys.stdin), daemon=True)
-        operator.start()
+        operator = weakref.proxy(loopback), sys.stdin  # a thread that waits for ever owns nothing
+        threading.Thread(target=be_operator, args=operator, daemon=True).start()
         print(_told(front, node.name, server, interface, truth), flush=True)
         realtime.prepare(
             realtime.ROBOT_PRIORITY
@@ -125,6 +126,7 @@ def crtk(
     except KeyboardInterrupt:
         print("stopped", flush=True)
     finally:
+        realtime.release()  # what is frozen would be reported as leaked at the very end
         node.close()
 
 
