@@ -1,0 +1,137 @@
+"""`viskill guard` between a simulated dVRK and a client of rospy or rclpy alone."""
+
+import contextlib
+import math
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from crtk_domain import DOMAIN
+from native_client import PATIENCE_S, NativeClient
+
+from viskill_deploy.drivers.crtk.opening import LOOPBACK
+from viskill_deploy.observe.reading import read_recording
+
+RATE_HZ = 100.0
+TRIALS = 3
+ARMS = ("PSM1", "PSM2")
+
+pytestmark = [
+    pytest.mark.timeout(600),
+    pytest.mark.parametrize(
+        "ros",
+        [
+            pytest.param("ros1", marks=pytest.mark.ros1),
+            pytest.param("ros2", marks=pytest.mark.ros2),
+        ],
+    ),
+]
+
+
+@pytest.fixture
+def _network(ros: str, request: pytest.FixtureRequest) -> None:
+    if ros == "ros1":
+        request.getfixturevalue("ros_master")
+
+
+@contextmanager
+def running(*words: str) -> Iterator["subprocess.Popen[str]"]:
+    """A `viskill` command with a terminal to type into."""
+    command = [sys.executable, "-m", "viskill_deploy.cli.main", *words]
+    pipe = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL}
+    with subprocess.Popen(command, text=True, **pipe) as process:  # type: ignore[call-overload]
+        try:
+            yield process
+        finally:
+            process.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.communicate(timeout=PATIENCE_S)
+            process.kill()
+
+
+def type_in(process: "subprocess.Popen[str]", word: str) -> None:
+    assert process.stdin
+    process.stdin.write(f"{word}\n")
+    process.stdin.flush()
+
+
+@pytest.mark.usefixtures("_network")
+def test_a_client_that_we_did_not_write_is_passed_stopped_and_told(
+    ros: str, tmp_path: Path
+) -> None:
+    """A machine that is late holds the arms before; then all is done once more."""
+    way = ("--transport", ros, "--domain", str(DOMAIN), "--interface", LOOPBACK)
+    for trial in range(TRIALS):
+        folder = tmp_path / str(trial)
+        with (
+            running("serve", "crtk", "--homing", "stay", *way) as robot,
+            running("guard", "--rate", f"{RATE_HZ:g}", "--output", str(folder), *way),
+        ):
+            clients = [NativeClient(ros, DOMAIN, f"guarded/{arm}") for arm in ARMS]
+            try:
+                made_ready(clients, robot)
+                is_done = streamed(clients[0])
+                if is_done:
+                    is_stopped_for_a_leap(clients)
+            finally:
+                for client in clients:
+                    client.close()
+        if is_done:
+            recording = read_recording(folder / "recording")
+            assert recording.complete
+            assert "S10" in {row.rule for row in recording.verdicts}
+            return
+    pytest.fail(f"the gate held the arms early in all of {TRIALS} runs; make the machine less busy")
+
+
+def made_ready(clients: list[NativeClient], robot: "subprocess.Popen[str]") -> None:
+    """Enabled, homed, agreed to by the operator."""
+    for client in clients:
+        client.wait("not all endpoints", lambda client=client: not client.missing())
+        client.wait("no reading", lambda client=client: client.heard["setpoint_js"])
+    for word, state in (("enable", ("ENABLED", False, False)), ("home", ("ENABLED", True, True))):
+        for client in clients:
+            client.command(word)
+        for client in clients:
+            client.wait(f"not {state}", lambda client=client, state=state: client.state == state)
+    type_in(robot, "press")
+    for client in clients:
+        client.wait("no consent", lambda client=client: client.state == ("ENABLED", True, False))
+
+
+def streamed(client: NativeClient) -> bool:
+    """Swings the first joint and ends somewhere else; whether all of it has passed."""
+    start = client.joints("setpoint_js")
+    began, count = time.monotonic(), round(2.0 * RATE_HZ)
+    for k in range(1, count + 1):
+        s = k / count
+        way = 0.03 * s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+        q = [start[0] + way, *start[1:]]
+        client.say("servo_jp", position=q)
+        time.sleep(max(began + k / RATE_HZ - time.monotonic(), 0.0))
+    time.sleep(0.3)
+    if client.state[0] != "ENABLED":
+        return False
+    client.wait_for("setpoint_js", q)
+    seen = {m.position[0] for m in client.heard["setpoint_js"]}
+    assert len(seen) > 0.2 * count, "the arm went there, and did not leap"
+    return True
+
+
+def is_stopped_for_a_leap(clients: list[NativeClient]) -> None:
+    """Nothing of it reaches the robot; both arms are held, and the client hears why."""
+    held = clients[0].joints("setpoint_js")
+    clients[0].say("servo_jp", position=[held[0] + math.radians(28.0), *held[1:]])
+    for client in clients:
+        client.wait("not held", lambda client=client: client.state[0] == "PAUSED")
+    said = clients[0].heard["warning"]
+    clients[0].wait("no reason", lambda: any("tip speed (S10): STOP" in m.data for m in said))
+    assert clients[0].joints("setpoint_js") == pytest.approx(held, abs=1e-4)
+    clients[0].say("move_jp", position=list(held))
+    errors = clients[0].heard["error"]
+    clients[0].wait("no refusal", lambda: any("move_jp does not pass" in m.data for m in errors))
