@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 import threading
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +14,7 @@ import typer
 from viskill_deploy.cli.reaching import Carrier, Domain, Interface, Pedal, TransportChoice
 from viskill_deploy.cli.run_folder import new_folder
 from viskill_deploy.cli.sources import Calibration
+from viskill_deploy.cli.terminal import lines_typed
 from viskill_deploy.core import realtime
 from viskill_deploy.core.calibration_files import is_simulated
 from viskill_deploy.core.clock import wall_time
@@ -92,7 +92,7 @@ def _guarded(
         guard = Guard(cell, driver, client, recorder, prefix, *words)
         _say_what_is_where(guard, prefix, folder)
         listener = weakref.proxy(guard)  # a thread that waits for ever owns nothing
-        threading.Thread(target=_hear_resets, args=(listener,), daemon=True).start()
+        threading.Thread(target=_hear_resets, args=(listener, lines_typed()), daemon=True).start()
         realtime.prepare()
         try:
             with interruptible(guard):
@@ -109,8 +109,8 @@ def _tell(verdicts: Sequence[Verdict], mode: Mode) -> None:
 
 
 def _say(text: str) -> None:
-    """What the robot's side has to say."""
-    print(f"robot: {text}", flush=True)
+    """Why arms are stopped, and what the robot's side has to say."""
+    print(f"because: {text}", flush=True)
 
 
 def _say_what_is_where(guard: Guard, prefix: str, folder: Path) -> None:
@@ -124,8 +124,8 @@ def _say_what_is_where(guard: Guard, prefix: str, folder: Path) -> None:
     )
 
 
-def _hear_resets(guard: Guard) -> None:
+def _hear_resets(guard: Guard, lines: Iterable[str]) -> None:
     """A person at this terminal has looked at the arms."""
-    for line in sys.stdin:
+    for line in lines:
         if line.strip() == "reset":
             guard.is_reset_wanted = True

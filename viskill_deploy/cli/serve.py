@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-import sys
 import threading
 import weakref
 from collections.abc import Iterable
@@ -15,6 +14,7 @@ from viskill_deploy.calibrate.truths import hidden_robot
 from viskill_deploy.cli import serve_can
 from viskill_deploy.cli.reaching import TransportChoice
 from viskill_deploy.cli.sources import Truth
+from viskill_deploy.cli.terminal import lines_typed
 from viskill_deploy.core import realtime
 from viskill_deploy.core.clock import MonotonicClock
 from viskill_deploy.core.description import load_cell
@@ -116,7 +116,10 @@ def crtk(
     try:
         loopback = LoopbackCell(world)
         front = CrtkCell(loopback, node, server, Announcer())
-        operator = weakref.proxy(loopback), sys.stdin  # a thread that waits for ever owns nothing
+        operator = (
+            weakref.proxy(loopback),
+            lines_typed(),
+        )  # a thread that waits for ever owns nothing
         threading.Thread(target=be_operator, args=operator, daemon=True).start()
         print(_told(front, node.name, server, interface, truth), flush=True)
         realtime.prepare(

@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
+import signal
 import sys
 import termios
+from collections.abc import Iterator
 from typing import TextIO
 
 from rich.console import Console
 
 from viskill_deploy.core.errors import Interrupted
+
+
+def lines_typed() -> Iterator[str]:
+    """Lines of this terminal for a thread to hear; none for a program in the background."""
+    if hasattr(signal, "SIGTTIN"):
+        signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # reading would stop such a program
+    return _lines()
+
+
+def _lines() -> Iterator[str]:
+    with contextlib.suppress(OSError):
+        yield from sys.stdin
 
 
 class Terminal:

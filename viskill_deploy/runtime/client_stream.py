@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import dist, hypot, inf, isfinite
+from math import inf, isfinite
 from typing import Final
 
 from viskill_deploy.core.errors import KinematicsError
@@ -13,18 +13,22 @@ from viskill_deploy.drivers.crtk.offered_arm import Asked, OfferedArm
 TOGETHER_S: Final = 0.001
 """What the arms of one moment are sent arrives within this."""
 
-AWAITED: Final = 1.5
-"""Periods for which the setpoint of a moving arm or jaw is waited for when others' have come:
-programs that move an arm each keep no step, and one that is left out would stop at once."""
-
 LOST: Final = 3
 """Periods without a setpoint, while the arms move, after which the stream counts as broken off."""
 
+AWAITED: Final = 2.5
+"""Periods after the last look for which an arm or a jaw in motion is waited for when others' have
+come: programs that move an arm each keep no step, and one that is left out would stop at once. So
+long, too, a motion that is slow enough to end may take to go on: at a turn, or where it begins."""
+
+AXES: Final = 7
+"""Joints of an arm, and its jaw."""
+
 STILL: Final = 1e-9
-"""rad or m in a period: where arms are this still, nobody can tell that a setpoint is missing."""
+"""rad or m in a period: less is rest."""
 
 EARLY: Final = 4
-"""Setpoints that may come before their time, such as after a wait for a processor."""
+"""Setpoints that may come before their time."""
 
 FAST: Final = 1.05
 """How much faster than it was said to be a client may be for ever: no two clocks are the same."""
@@ -48,21 +52,22 @@ class ClientStream:
         self, arms: Sequence[OfferedArm], period_s: float, max_jerk: Sequence[Sequence[float]]
     ) -> None:
         self._arms, self._period_s = arms, period_s
-        # Half of the way in a period that the gate lets end at once.
-        self._still = [[0.5 * jerk * period_s**3 for jerk in arm] for arm in max_jerk]
+        # How far from where the last cycles lead the gate lets each joint go in a period.
+        self._free_way = [jerk * period_s**3 for arm in max_jerk for jerk in arm]
         self._free = (True,) * len(arms)  # a jaw that opens is the client's wish
         self.begin(())
 
     def begin(self, held: Setpoints) -> None:
         """Starts at rest, at what the arms hold; what waits is of before."""
-        self.sent, self._way = held, 0.0
-        self._expected = self._moving = 0
+        self.sent, self._is_slow = held, True
+        self._steps = self._bends = [0.0] * len(self._free_way)  # of the last cycle
+        self._before = self._expected = self._moving = 0
         self._due_s = -inf  # when the next setpoint of a client that keeps its rate would come
         self.forget()
 
     @property
     def is_moving(self) -> bool:
-        """Whether the arms went too far in the last cycle to be at rest in the next."""
+        """Whether the arms went anywhere in the last cycle."""
         return self._moving > 0
 
     @property
@@ -70,29 +75,22 @@ class ClientStream:
         """Whether anything has come that was not looked at."""
         return self._waiting() > 0
 
-    def is_due(self, now: float, since_s: float) -> bool:
-        """Whether the gate has to look: all of one moment is there, or time is up.
+    def due_s(self, last_s: float) -> float:
+        """When the gate has to look if nothing more comes; at once when all of one moment is there.
 
         Args:
-            now: driver's clock, s.
-            since_s: time since it looked last.
+            last_s: when it looked last, driver's clock.
         """
         waiting = self._waiting()
         if not waiting:
-            return since_s >= self.patience_s
-        return waiting & self._expected == self._expected or now >= self.together_s
-
-    @property
-    def together_s(self) -> float:
-        """Until when the rest of what has begun to come is waited for, driver's clock."""
-        missing = self._expected & self._moving & ~self._waiting()
-        wait_s = AWAITED * self._period_s if missing else TOGETHER_S
-        return min([at for arm in self._arms for at in arm.arrivals], default=-inf) + wait_s
-
-    @property
-    def patience_s(self) -> float:
-        """How long the gate waits for the next setpoint before it looks anyway."""
-        return (LOST if self.is_moving else 1) * self._period_s
+            periods = 1 if not self.is_moving else AWAITED if self._is_slow else LOST
+            return last_s + periods * self._period_s
+        missing = self._expected & ~waiting
+        if not missing:
+            return -inf
+        if missing & self._moving:
+            return last_s + AWAITED * self._period_s
+        return min([at for arm in self._arms for at in arm.arrivals]) + TOGETHER_S
 
     def forget(self) -> None:
         """Drops what waits."""
@@ -107,9 +105,9 @@ class ClientStream:
             now: driver's clock, s.
         """
         waiting = self._waiting()
-        if halt or (not waiting and self.is_moving):
+        if halt or not (waiting or self._is_slow):
             return self._stop(halt or "the client's stream has broken off")
-        self._expected = waiting
+        self._before, self._expected = waiting, waiting | self._before
         try:
             requests = self._asked()
         except KinematicsError as error:
@@ -121,12 +119,16 @@ class ClientStream:
 
     def note(self, sent: Setpoints) -> None:
         """Remembers what has passed."""
-        self._way, self._moving = 0.0, 0
-        for a, b, still in zip(self.sent, sent, self._still, strict=True):
-            here, there = (*a.jp, a.jaw), (*b.jp, b.jaw)
-            self._way += dist(here, there)
-            *joints, jaw = [abs(y - x) > s for x, y, s in zip(here, there, still, strict=True)]
-            self._moving = self._moving << 2 | any(joints) << 1 | jaw
+        here = _joints(self.sent)
+        steps = [new - old for new, old in zip(_joints(sent), here, strict=True)]
+        self._bends = [new - old for new, old in zip(steps, self._steps, strict=True)]
+        self._steps, self._moving = steps, 0
+        moves = [abs(step) > STILL for step in steps]
+        for first in range(0, len(moves), AXES):
+            joints, jaw = any(moves[first : first + AXES - 1]), moves[first + AXES - 1]
+            self._moving = self._moving << 2 | joints << 1 | jaw
+        pairs = zip(steps, self._free_way, strict=True)
+        self._is_slow = all(abs(step) <= 0.5 * most for step, most in pairs)
         self.sent = sent
 
     def _stop(self, why: str) -> list[Request]:
@@ -140,7 +142,8 @@ class ClientStream:
         The gate takes one after the other for a period apart. Moving arms would go faster than it
         can see if they came faster.
         """
-        due_s = max(self._due_s, now) if self.is_moving else now
+        behind_s = LOST * self._period_s  # what waited for a processor may come at once
+        due_s = max(self._due_s, now - behind_s) if self.is_moving else now
         self._due_s = due_s + count * self._period_s / FAST
         return self._due_s > now + (EARLY + 1) * self._period_s
 
@@ -171,15 +174,25 @@ class ClientStream:
 
         The stamps of a client that wakes late have gaps as well, but it goes no farther for that.
         """
-        before, lost = self._way, max([a.lost for a in asked])
-        if not lost:
+        lost = max([a.lost for a in asked])
+        if not (lost and self.is_moving):
             return 0
-        way = sum([a.way(last) for a, last in zip(asked, self.sent, strict=True)])
-        if not (before > STILL and isfinite(way)):
+        there = [x for a in asked for x in (*a.jp, a.jaw)]
+        if not all(map(isfinite, there)):
             return 0
-        after = sum([hypot(*a.jv, *a.jaw_v) for a in asked]) * self._period_s or before
-        periods = round(2.0 * way / (before + after)) if isfinite(after) else 1
-        return max(min(lost, periods - 1), 0)
+        doubts = [self._doubt(there, periods) for periods in range(1, min(lost, LOST) + 2)]
+        return 0 if doubts[0] <= 1.0 else doubts.index(min(doubts))
+
+    def _doubt(self, there: Sequence[float], periods: int) -> float:
+        """How far from there a motion as the last cycles' leads in so many periods; 1.0 passes."""
+        bent = 0.5 * periods * (periods + 1)
+        rows = zip(there, _joints(self.sent), self._steps, self._bends, self._free_way, strict=True)
+        return max([abs(y - x - periods * s - bent * b) / most for y, x, s, b, most in rows])
+
+
+def _joints(setpoints: Setpoints) -> list[float]:
+    """All joints and jaws, one arm after the other."""
+    return [x for s in setpoints for x in (*s.jp, s.jaw)]
 
 
 def _between(a: JointSetpoint, b: JointSetpoint, part: float, time_s: float) -> JointSetpoint:

@@ -27,7 +27,7 @@ from viskill_deploy.core.types import (
 )
 from viskill_deploy.drivers.base import ENABLED, PAUSED
 from viskill_deploy.drivers.crtk.driver import CrtkDriver, nothing
-from viskill_deploy.drivers.crtk.offered_arm import Condition, OfferedArm
+from viskill_deploy.drivers.crtk.offered_arm import MOST, Condition, OfferedArm
 from viskill_deploy.drivers.crtk.transport import Transport
 from viskill_deploy.motion.links import CellLinks
 from viskill_deploy.runtime.client_stream import ClientStream
@@ -62,7 +62,8 @@ class GuardCounts:
     filled: int = 0
 
 
-ENDS: Final = {"disable", "unhome", "pause", "hold"}
+HOLDS: Final = {"pause", "hold"}
+ENDS: Final = {"disable", "unhome"} | HOLDS
 """Commands that end enabling and homing."""
 
 
@@ -83,7 +84,7 @@ class Guard:
             mode without verdicts on `status`.
         recover: puts a robot right that was in FAULT, after a person has looked at it.
         named: words for a rule's id.
-        say: called with what the driver complains of.
+        say: called with why the arms are stopped, and what the driver complains of.
 
     Attributes:
         gate: the gate.
@@ -139,18 +140,23 @@ class Guard:
     def turn(self, now: float) -> float:
         """Does what is due; returns when to look again at the latest, driver's clock."""
         self._obey(now)
+        now = max(self.driver.clock.now(), now)  # enabling and homing take their time
+        for _ in range(MOST):
+            if not (self._is_armed and self._is_due(now)):
+                break
+            self._cycle(now)
+            now = max(self.driver.clock.now(), now)  # of several that wait, each takes its time
+            if self._is_stopping:
+                break
         if self._is_armed:
-            while self._is_due(now):
-                self._cycle(now)
-                now = max(self.driver.clock.now(), now)  # of several that wait, each takes its time
             if now >= self._ahead_s > self._read_s:
                 self._read(now)
-                return self._next_s(now)  # what else there is to do would be in the setpoint's way
+                return self._next_s()  # what else there is to do would be in the setpoint's way
         elif now >= self._last_s + self.driver.period_s:
             self._await_operator(now)
         for arm, state in zip(self.arms, self._state.arms, strict=True):
             self._speak(arm, state, self._condition(state), now)
-        return self._next_s(now)
+        return self._next_s()
 
     def close(self) -> None:
         """Brings moving arms to rest, takes their power and closes the robot's side."""
@@ -167,19 +173,19 @@ class Guard:
             self.driver.close()
 
     def _is_due(self, now: float) -> bool:
-        since_s = now - self._last_s
-        if self._is_stopping or self._halt:
-            return since_s >= self.driver.period_s
-        return self._stream.is_due(now, since_s)
+        return now >= self._due_s
 
-    def _next_s(self, now: float) -> float:
-        if self._is_armed and self._stream.is_waiting and not self._is_stopping:
-            return self._stream.together_s
+    @property
+    def _due_s(self) -> float:
+        """When the gate looks again, if nothing more comes before."""
+        if not self._is_armed or self._is_stopping or self._halt:
+            return self._last_s + self.driver.period_s
+        return self._stream.due_s(self._last_s)
+
+    def _next_s(self) -> float:
         is_streaming = self._is_armed and not (self._is_stopping or self._halt)
-        if is_streaming and self._read_s < self._ahead_s:
-            return self._ahead_s
-        patience_s = self._stream.patience_s if is_streaming else self.driver.period_s
-        return self._last_s + patience_s
+        is_unread = is_streaming and not self._stream.is_waiting and self._read_s < self._ahead_s
+        return min(self._ahead_s, self._due_s) if is_unread else self._due_s
 
     @property
     def _ahead_s(self) -> float:
@@ -220,6 +226,7 @@ class Guard:
         """One cycle of the gate; whether the request passed."""
         if not self._recorder.alive:
             self.gate.report_fault("S32", now)
+        is_new = request.failure and not self._is_stopping
         decision = self.gate.check(state, request, now)
         self._last_s = now
         if is_sent or not decision.passed:
@@ -236,6 +243,8 @@ class Guard:
         )
         record = (decision.action, decision.verdicts, decision.mode, tips)
         self._recorder.cycle(now, state, request, sent, *record)
+        if is_new:
+            self._complain(request.failure, now)
         if is_over and self._wants_off:
             self._switch_off()
         return decision.passed
@@ -322,7 +331,7 @@ class Guard:
                     pass
                 case "pause":
                     self._halt = self._halt or "the client asked for pause"
-                case "hold" if self._stream.is_moving:
+                case "hold" if self._stream.is_moving or self._stream.is_waiting:
                     self._halt = self._halt or "the client asked for hold"
                 case "hold":
                     pass
@@ -336,7 +345,7 @@ class Guard:
                 case _:
                     arm.error(f'command "{word}" does not pass the guard', now)
         except DriverError as error:
-            arm.error(str(error), now)
+            arm.error(str(error), self.driver.clock.now())
 
     def _make_ready(self, word: str, now: float) -> None:
         """Enabling and homing take a while, in which the client is told so and may end them.
@@ -344,29 +353,43 @@ class Guard:
         Raises:
             DriverError: the arms do not follow, or somebody wants something else.
         """
+        if self.gate.latched is Action.ESTOP:
+            raise DriverError(f"{word}: an emergency stop; start the guard anew without its cause")
         if self.gate.latched > Action.HOLD:
             raise DriverError(f'{word}: a person has to type "reset" at the guard first')
+        for arm in self.arms:
+            while arm.commands and arm.commands[0] in HOLDS:
+                arm.commands.popleft()  # of before: nothing moves
         self._busy(now)
         self.driver.meanwhile = self._attend
         try:
             (self.driver.enable if word == "enable" else self.driver.home)()
+        except DriverError:
+            if self._is_to_end():
+                self.driver.disable()  # an arm that is homing goes on else, whatever it is told
+                for arm in self.arms:
+                    arm.commands.clear()  # the others' part of what was ended, and what ended it
+            raise
         finally:
             self.driver.meanwhile = nothing
+
+    def _is_to_end(self) -> bool:
+        """Whether a person or a client wants no enabling and no homing any more."""
+        waiting = {word for arm in self.arms for word in arm.commands}
+        return self.is_stop_wanted or not waiting.isdisjoint(ENDS)
 
     def _attend(self) -> None:
         """Looks on while the arms are enabled or homed.
 
         Raises:
-            DriverError: a person or a client wants it to end.
+            DriverError: that is to end.
         """
-        now = self.driver.clock.now()
-        waiting = {word for arm in self.arms for word in arm.commands}
-        if self.is_stop_wanted or waiting & ENDS:
-            self.driver.hold()
-            raise DriverError("enabling or homing was ended before the arms were ready")
+        if self._is_to_end():
+            raise DriverError("enabling or homing was ended: the arms lose their power")
         with contextlib.suppress(DriverError):  # the driver finds the same, and says so
             self._state = self.driver.state()
-        self._busy(now)
+            self._had_consent = self._state.inputs.consent is True
+        self._busy(self.driver.clock.now())
 
     def _busy(self, now: float) -> None:
         """Says that enabling and homing take a while."""
@@ -389,6 +412,7 @@ class Guard:
         """A person clears what has ended the run; never an emergency stop, never while moving."""
         if self.gate.reset(now) is Mode.CONNECTED:
             self._is_armed = self._is_stopping = self._wants_off = False
+            self._complaint = ""
             self._had_consent = True
             self.driver.watch.release()
             try:
@@ -398,7 +422,7 @@ class Guard:
         self._tell((), self.gate.mode)
 
     def _complain(self, text: str, now: float) -> None:
-        """Passes on what the driver has to say, to people once."""
+        """Tells clients and people a reason; people once, while it is the same."""
         if text != self._complaint:
             self._complaint = text
             self._say(text)

@@ -284,6 +284,55 @@ def test_a_motion_that_ends_on_its_goal_has_not_broken_off(bench: Bench) -> None
     assert bench.held("PSM1")[0] == start[0] + 0.05
 
 
+def test_a_setpoint_may_be_late_where_a_motion_turns_or_begins(bench: Bench) -> None:
+    bench.ready()
+    start = bench.held("PSM1")
+    k = np.arange(402)
+    ways = 0.03 * np.sin(pi * np.minimum(k, 100) / 200) ** 4 * np.sin(2.0 * pi * k / 133)
+    turns = set(1 + np.flatnonzero(np.diff(np.sign(np.diff(ways[100:])))) + 100)
+    assert len(turns) >= 4
+    for k, way in enumerate(ways[1:], 1):
+        if k in turns | {t + 1 for t in turns} | {8}:
+            bench.step()
+        bench.stream("PSM1", [start[0] + way, *start[1:]])
+        bench.step()
+    assert bench.guard.counts.stopped == 0
+
+
+@pytest.mark.parametrize("wrong", [0.0, 28 * pi / 180])
+def test_arms_are_disabled_however_long_a_cycle_takes(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, wrong: float
+) -> None:
+    bench.ready()
+    start, clock, servo_jp = bench.held("PSM1"), bench.driver.clock, bench.driver.servo_jp
+
+    def slow(setpoints: Sequence[JointSetpoint]) -> None:
+        servo_jp(setpoints)
+        clock.sleep_until(clock.now() + 1.5 * PERIOD_S)
+
+    if wrong:
+        bench.stream("PSM1", [start[0] + wrong, *start[1:]])
+        bench.step(2)
+    monkeypatch.setattr(bench.driver, "servo_jp", slow)
+    bench.command("disable")
+    bench.step(40)
+    assert {arm.operating_state for arm in bench.driver.state().arms} == {"DISABLED"}
+    assert bench.guard.gate.latched < Action.FAULT
+
+
+def test_clients_and_people_hear_why_arms_are_stopped(bench: Bench) -> None:
+    said: list[str] = []
+    bench.guard._say = said.append
+    bench.ready()
+    start = bench.held("PSM1")
+    for k in range(1, 70):
+        bench.stream("PSM1", *swing(start, k, 0.05))
+        bench.step()
+    bench.step(10)
+    assert said[-1] == "the client's stream has broken off"
+    assert bench.errors[-1] == "PSM2: the client's stream has broken off"
+
+
 def test_what_a_client_takes_back_is_taken_back(bench: Bench) -> None:
     """A hold of one arm does not undo that another was disabled; a pause holds arms at rest."""
     bench.ready()
@@ -298,7 +347,7 @@ def test_what_a_client_takes_back_is_taken_back(bench: Bench) -> None:
     assert bench.states["PSM1"].state == bench.states["PSM2"].state == "PAUSED"
 
 
-@pytest.mark.parametrize("by", ["client", "person"])
+@pytest.mark.parametrize("by", ["disable", "hold", "pause", "person"])
 def test_homing_can_be_ended_and_is_told_of_meanwhile(
     bench: Bench, by: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -312,10 +361,10 @@ def test_homing_can_be_ended_and_is_told_of_meanwhile(
     def look() -> None:
         meanwhile()
         seen.append(bench.states["PSM1"])
-        if len(seen) == 3 and by == "client":
-            bench.command("disable")
-        elif len(seen) == 3:
+        if len(seen) == 3 and by == "person":
             bench.guard.ask_to_stop()
+        elif len(seen) == 3:
+            bench.command(by)
 
     monkeypatch.setattr(bench.guard, "_attend", look)
     monkeypatch.setattr(bench.driver, "_is_reached", lambda wish: False)
@@ -326,9 +375,8 @@ def test_homing_can_be_ended_and_is_told_of_meanwhile(
     assert len(seen) == 3
     assert all(word.is_busy for word in seen)
     bench.step(20)
-    assert any("ended before" in said for said in bench.errors)
-    if by == "client":
-        assert {arm.operating_state for arm in bench.driver.state().arms} == {"DISABLED"}
+    assert any("homing was ended" in said for said in bench.errors)
+    assert {arm.operating_state for arm in bench.driver.state().arms} == {"DISABLED"}
 
 
 def test_a_client_hears_two_reasons_and_a_person_each_one_once(bench: Bench) -> None:

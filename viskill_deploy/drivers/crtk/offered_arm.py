@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from math import dist, inf
+from math import inf
 from typing import Any, Final
 
 from viskill_deploy.core.description import CellArm
@@ -76,10 +76,6 @@ class Asked:
     jaw: float
     jaw_v: Joints
     lost: int
-
-    def way(self, last: JointSetpoint) -> float:
-        """How far it is from where the arm was sent last, by all joints together."""
-        return dist((*self.jp, self.jaw), (*last.jp, last.jaw))
 
     def setpoint(self, last: JointSetpoint, time_s: float) -> JointSetpoint:
         """With the mean velocities since the last setpoint where the client gives none."""

@@ -38,8 +38,10 @@ for name in sys.argv[1:]:
     try:
         importlib.import_module(name)
     except Exception:
-        print(name, file=said)
+        print(name, file=said, flush=True)
+os._exit(0)
 """
+TRY_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,9 +81,11 @@ def readiness(name: TransportName) -> Readiness:
 @functools.cache
 def _useless(modules: tuple[str, ...]) -> tuple[str, ...]:
     """Those that this Python cannot import."""
-    run = subprocess.run(
-        [sys.executable, "-c", TRY, *modules], capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-P", "-c", TRY, *modules]
+    try:
+        run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=TRY_S)
+    except subprocess.TimeoutExpired:
+        return modules
     return tuple(run.stdout.split()) if run.returncode == 0 else modules
 
 
