@@ -111,14 +111,18 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=1000)
     parser.add_argument("--mode", choices=("closed-loop", "plan"), default="closed-loop")
     parser.add_argument("--output", type=Path, default=Path("build/no_false_trips.jsonl"))
+    parser.add_argument(
+        "--share", default="1/1", help="2/3: the second of three programs with files of their own"
+    )
     args = parser.parse_args()
+    part, parts = map(int, args.share.split("/"))
     args.output.parent.mkdir(parents=True, exist_ok=True)
     rows = done_before(args.output)
     known = {row["run"] for row in rows}
     jobs = [prepare(POLICIES / name) for name in BUNDLES]
     with args.output.open("a", encoding="utf-8") as file:
         for number in range(args.runs):
-            if number in known:
+            if number in known or number % parts != part % parts:
                 continue
             try:
                 row = one_run(jobs[number % len(jobs)], number, args.mode)
