@@ -32,6 +32,13 @@ def ros_master(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             master.terminate()
 
 
+@pytest.fixture
+def ros_network(ros: str, request: pytest.FixtureRequest) -> None:
+    """What that ROS needs before anybody speaks."""
+    if ros == "ros1":
+        request.getfixturevalue("ros_master")
+
+
 def wait_for_port(port: int, master: "subprocess.Popen[bytes]") -> None:
     while True:
         assert master.poll() is None, "rosmaster ended"

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from crtk_domain import DOMAIN
-from native_client import PATIENCE_S, NativeClient
+from native_client import EACH_ROS, PATIENCE_S, NativeClient
 
 from viskill_deploy.drivers.crtk import messages
 
@@ -28,22 +28,7 @@ HOMED = (0.0, 0.0, 0.12, 0.0, 0.0, 0.0)
 BENT = [0.1, -0.1, 0.15, 0.3, 0.4, 0.2]
 RATE_HZ = 200.0
 
-pytestmark = [
-    pytest.mark.timeout(300),
-    pytest.mark.parametrize(
-        "ros",
-        [
-            pytest.param("ros1", marks=pytest.mark.ros1),
-            pytest.param("ros2", marks=pytest.mark.ros2),
-        ],
-    ),
-]
-
-
-@pytest.fixture
-def _network(ros: str, request: pytest.FixtureRequest) -> None:
-    if ros == "ros1":
-        request.getfixturevalue("ros_master")
+pytestmark = [pytest.mark.timeout(300), EACH_ROS]
 
 
 @contextmanager
@@ -68,7 +53,7 @@ def served(ros: str, folder: Path) -> Iterator[None]:
 
 
 @pytest.fixture
-def client(ros: str, _network: None) -> Iterator[Callable[[], NativeClient]]:
+def client(ros: str, ros_network: None) -> Iterator[Callable[[], NativeClient]]:
     made: list[NativeClient] = []
 
     def make() -> NativeClient:

@@ -12,37 +12,22 @@ from pathlib import Path
 
 import pytest
 from crtk_domain import DOMAIN
-from native_client import PATIENCE_S, NativeClient
+from native_client import EACH_ROS, PATIENCE_S, NativeClient
 
 from viskill_deploy.drivers.crtk.opening import LOOPBACK
 from viskill_deploy.observe.reading import read_recording
 
 RATE_HZ = 100.0
 
-pytestmark = [
-    pytest.mark.timeout(600),
-    pytest.mark.parametrize(
-        "ros",
-        [
-            pytest.param("ros1", marks=pytest.mark.ros1),
-            pytest.param("ros2", marks=pytest.mark.ros2),
-        ],
-    ),
-]
-
-
-@pytest.fixture
-def _network(ros: str, request: pytest.FixtureRequest) -> None:
-    if ros == "ros1":
-        request.getfixturevalue("ros_master")
+pytestmark = [pytest.mark.timeout(600), EACH_ROS]
 
 
 @contextmanager
 def running(*words: str) -> Iterator["subprocess.Popen[str]"]:
     """A `viskill` command with a terminal to type into."""
     command = [sys.executable, "-m", "viskill_deploy.cli.main", *words]
-    pipe = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL}
-    with subprocess.Popen(command, text=True, **pipe) as process:  # type: ignore[call-overload]
+    pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
+    with subprocess.Popen(command, text=True, stdin=pipe, stdout=nowhere) as process:
         try:
             yield process
         finally:
@@ -58,7 +43,7 @@ def type_in(process: "subprocess.Popen[str]", word: str) -> None:
     process.stdin.flush()
 
 
-@pytest.mark.usefixtures("_network")
+@pytest.mark.usefixtures("ros_network")
 def test_a_client_that_we_did_not_write_is_passed_stopped_and_told(
     ros: str, tmp_path: Path
 ) -> None:

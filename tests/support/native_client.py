@@ -11,9 +11,17 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import pytest
+
 from viskill_deploy.drivers.crtk import messages
 from viskill_deploy.drivers.crtk.interfaces import ros2_environment
 from viskill_deploy.drivers.crtk.opening import LOOPBACK
+
+EACH_ROS = pytest.mark.parametrize(
+    "ros",
+    [pytest.param("ros1", marks=pytest.mark.ros1), pytest.param("ros2", marks=pytest.mark.ros2)],
+)
+"""For tests of both; ROS 1 needs the fixture `ros_network`, too."""
 
 PATIENCE_S = 30.0
 NANO = 1_000_000_000

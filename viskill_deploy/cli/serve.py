@@ -116,11 +116,8 @@ def crtk(
     try:
         loopback = LoopbackCell(world)
         front = CrtkCell(loopback, node, server, Announcer())
-        operator = (
-            weakref.proxy(loopback),
-            lines_typed(),
-        )  # a thread that waits for ever owns nothing
-        threading.Thread(target=be_operator, args=operator, daemon=True).start()
+        typed = weakref.proxy(loopback), lines_typed()  # a thread that waits for ever owns nothing
+        threading.Thread(target=be_operator, args=typed, daemon=True).start()
         print(_told(front, node.name, server, interface, truth), flush=True)
         realtime.prepare(
             realtime.ROBOT_PRIORITY

@@ -18,8 +18,7 @@ from viskill_deploy.core.errors import Interrupted
 
 def lines_typed() -> Iterator[str]:
     """Lines of this terminal for a thread to hear; none for a program in the background."""
-    if hasattr(signal, "SIGTTIN"):
-        signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # reading would stop such a program
+    signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # reading would stop such a program
     return _lines()
 
 

@@ -25,14 +25,14 @@ from viskill_deploy.core.types import (
     Request,
     Verdict,
 )
-from viskill_deploy.drivers.base import ENABLED, PAUSED
 from viskill_deploy.drivers.crtk.driver import CrtkDriver, nothing
-from viskill_deploy.drivers.crtk.offered_arm import MOST, Condition, OfferedArm
+from viskill_deploy.drivers.crtk.offered_arm import MOST, OfferedArm
 from viskill_deploy.drivers.crtk.transport import Transport
 from viskill_deploy.motion.links import CellLinks
 from viskill_deploy.runtime.client_stream import ClientStream
 from viskill_deploy.runtime.delivery import Delivery
 from viskill_deploy.runtime.record import Recorder
+from viskill_deploy.runtime.telling import Telling, silent
 from viskill_deploy.safety.decision import Decision
 from viskill_deploy.safety.supervisor import Supervisor
 
@@ -67,10 +67,6 @@ ENDS: Final = {"disable", "unhome"} | HOLDS
 """Commands that end enabling and homing."""
 
 
-def _silent(verdicts: Sequence[Verdict], mode: Mode) -> None:
-    """Nobody looks on."""
-
-
 class Guard:
     """A gate with a client on one side and a robot on the other.
 
@@ -100,7 +96,7 @@ class Guard:
         transport: Transport,
         recorder: Recorder,
         prefix: str = "guarded",
-        tell: Callable[[Sequence[Verdict], Mode], None] = _silent,
+        tell: Callable[[Sequence[Verdict], Mode], None] = silent,
         recover: Callable[[], None] = lambda: None,
         named: Callable[[str], str] = str,
         say: Callable[[str], None] = lambda _: None,
@@ -111,12 +107,10 @@ class Guard:
         self.arms = [OfferedArm(arm, transport, prefix, self._bell.set) for arm in cell.arms]
         jerks = [arm.max_jerk for arm in self.gate.envelope.arms]
         self._stream = ClientStream(self.arms, driver.period_s, jerks)
-        self._recorder, self._show, self._links = recorder, tell, CellLinks(cell)
-        self._named = named
-        self._recover, self._say, self._complaint = recover, say, ""
+        self._telling = Telling(self.arms, tell, say, named)
+        self._recorder, self._links, self._recover = recorder, CellLinks(cell), recover
         self._state, self._read_s = driver.state(), -inf
-        self._last_s, self._told = driver.clock.now(), set[str]()
-        self._told_mode = Mode.OFF
+        self._last_s = driver.clock.now()
         self._halt = ""  # why the arms have to come to rest
         self._is_armed = self._is_stopping = self._at_rest = False
         self._had_consent = True  # only one that was seen to rise counts
@@ -154,8 +148,7 @@ class Guard:
                 return self._next_s()  # what else there is to do would be in the setpoint's way
         elif now >= self._last_s + self.driver.period_s:
             self._await_operator(now)
-        for arm, state in zip(self.arms, self._state.arms, strict=True):
-            self._speak(arm, state, self._condition(state), now)
+        self._telling.states(self._state, self.gate.mode, self._is_armed, now)
         return self._next_s()
 
     def close(self) -> None:
@@ -233,7 +226,7 @@ class Guard:
             self._delivery.send(decision, now)
         self.driver.watch.beat(self.driver.clock.now())
         is_over = self._at_rest  # the last sample of the stop has gone out twice
-        self._note(decision)
+        self._note(decision, now)
         has_gone_out = (is_sent or not decision.passed) and not self._delivery.missed
         sent = self._stream.sent if has_gone_out else ()
         tips = (
@@ -244,12 +237,12 @@ class Guard:
         record = (decision.action, decision.verdicts, decision.mode, tips)
         self._recorder.cycle(now, state, request, sent, *record)
         if is_new:
-            self._complain(request.failure, now)
+            self._telling.reason(request.failure, now)
         if is_over and self._wants_off:
             self._switch_off()
         return decision.passed
 
-    def _note(self, decision: Decision) -> None:
+    def _note(self, decision: Decision, now: float) -> None:
         self._stream.note(tuple(checked.setpoint for checked in decision.setpoints))
         began = not decision.passed and not self._is_stopping
         counts = self.counts
@@ -259,28 +252,13 @@ class Guard:
         self._is_stopping, self._at_rest = not decision.passed, decision.at_rest
         if self._is_stopping:
             self._halt = ""
-        rules = {verdict.rule for verdict in decision.verdicts}
-        known = self._told if decision.mode is self._told_mode else set()
-        is_news = decision.mode is not self._told_mode or not rules <= known
-        self._told_mode = decision.mode
-        self._told = rules if decision.passed else known | rules
-        if is_news:
-            self._tell(decision.verdicts, decision.mode)
-
-    def _tell(self, verdicts: Sequence[Verdict], mode: Mode) -> None:
-        """Says to people and clients what the gate has said."""
-        self._show(verdicts, mode)
-        said = [f"{self._named(v.rule)}: {v.action.name}" for v in verdicts]
-        text = f"gate {mode.value}{': ' * bool(said)}{'; '.join(dict.fromkeys(said))}"
-        for arm in self.arms:
-            with contextlib.suppress(DriverError):  # arms are stopped, whoever cannot be told
-                arm.tell(text, bool(said), self.driver.clock.now())
+        self._telling.cycle(decision.verdicts, decision.mode, decision.passed, now)
 
     def _read(self, now: float) -> CellState:
         """The newest state; the client is told when the driver complains."""
         self._state, self._read_s = self._delivery.read(self._state), now
         if self._delivery.trouble:
-            self._complain(self._delivery.trouble, now)
+            self._telling.reason(self._delivery.trouble, now)
         return self._state
 
     def _await_operator(self, now: float) -> None:
@@ -289,7 +267,7 @@ class Guard:
         try:
             self._state = state = self.driver.state()
         except DriverError as error:
-            self._complain(str(error), now)
+            self._telling.reason(str(error), now)
             return
         self._stream.forget()
         has_consent = state.inputs.consent is True
@@ -298,12 +276,12 @@ class Guard:
         if self.gate.connect(state) is not Mode.READY or not rises:
             return
         against = self.gate.arm(state, now)
-        self._tell(against, self.gate.mode)
+        self._telling.verdicts(against, self.gate.mode, now)
         if not against:
             self._stream.begin(tuple(map(_held, state.arms)))
             self._delivery.begin()
             self._is_armed, self._halt = True, ""
-            self._told, self._told_mode = set(), self.gate.mode  # what was before is past
+            self._telling.begin(self.gate.mode)
             self._wants_on = self._is_stopping = self._at_rest = False
 
     def _go_on(self, state: CellState, now: float) -> None:
@@ -311,7 +289,7 @@ class Guard:
         if not self.gate.resume(state, now):
             self._wants_on = self._is_stopping = self._at_rest = False
             self._stream.begin(self._stream.sent)
-            self._tell((), self.gate.mode)
+            self._telling.verdicts((), self.gate.mode, now)
 
     def _obey(self, now: float) -> None:
         """What the client commands counts for all arms of the cell."""
@@ -360,7 +338,7 @@ class Guard:
         for arm in self.arms:
             while arm.commands and arm.commands[0] in HOLDS:
                 arm.commands.popleft()  # of before: nothing moves
-        self._busy(now)
+        self._telling.busy(self._state, now)
         self.driver.meanwhile = self._attend
         try:
             (self.driver.enable if word == "enable" else self.driver.home)()
@@ -389,16 +367,7 @@ class Guard:
         with contextlib.suppress(DriverError):  # the driver finds the same, and says so
             self._state = self.driver.state()
             self._had_consent = self._state.inputs.consent is True
-        self._busy(self.driver.clock.now())
-
-    def _busy(self, now: float) -> None:
-        """Says that enabling and homing take a while."""
-        for arm, state in zip(self.arms, self._state.arms, strict=True):
-            self._speak(arm, state, Condition(state.operating_state, state.is_homed, True), now)
-
-    def _speak(self, arm: OfferedArm, state: ArmState, condition: Condition, now: float) -> None:
-        with contextlib.suppress(DriverError):  # nobody is there to be told that nobody is told
-            arm.speak(state, condition, now)
+        self._telling.busy(self._state, self.driver.clock.now())
 
     def _switch_off(self) -> None:
         """Power off at the client's wish; what is worse than a HOLD stays for a person to clear."""
@@ -412,36 +381,14 @@ class Guard:
         """A person clears what has ended the run; never an emergency stop, never while moving."""
         if self.gate.reset(now) is Mode.CONNECTED:
             self._is_armed = self._is_stopping = self._wants_off = False
-            self._complaint = ""
+            self._telling.begin(self.gate.mode)
             self._had_consent = True
             self.driver.watch.release()
             try:
                 self._recover()
             except DriverError as error:
-                self._complain(str(error), now)
-        self._tell((), self.gate.mode)
-
-    def _complain(self, text: str, now: float) -> None:
-        """Tells clients and people a reason; people once, while it is the same."""
-        if text != self._complaint:
-            self._complaint = text
-            self._say(text)
-        for arm in self.arms:
-            with contextlib.suppress(DriverError):
-                arm.error(text, now)
-
-    def _condition(self, arm: ArmState) -> Condition:
-        """What a client is told: PAUSED while the gate holds, busy until the operator agrees."""
-        mode = self.gate.mode if self._is_armed or arm.operating_state == ENABLED else Mode.OFF
-        match mode:
-            case Mode.ARMED | Mode.RUNNING:
-                return Condition(ENABLED, True, False)
-            case Mode.HOLDING:
-                return Condition(PAUSED, True, False)
-            case Mode.FAULT | Mode.ESTOPPED:
-                return Condition("FAULT", arm.is_homed, False)
-        is_waiting = arm.operating_state == ENABLED and arm.is_homed
-        return Condition(arm.operating_state, arm.is_homed, arm.is_busy or is_waiting)
+                self._telling.reason(str(error), now)
+        self._telling.verdicts((), self.gate.mode, now)
 
 
 def _held(arm: ArmState) -> JointSetpoint:
