@@ -17,6 +17,8 @@ from viskill_deploy.safety.watchdog import DISABLE_S, LOST_S
 pytestmark = [pytest.mark.quiet, pytest.mark.timeout(900)]
 PERIOD_S = 0.004
 HELD_WITHIN_S = 0.1
+BEAT_AGE_S = 0.03
+"""How old a heartbeat may be when its runtime is killed: a cycle, and what a busy machine adds."""
 REST_RAD_S = 0.02
 """Measured speed of a joint that rests: what is left of a drive that settles."""
 
@@ -27,7 +29,7 @@ def assert_held_in_time(run: RuntimeToKill, since: float) -> None:
     assert late > 0.0
     if not realtime.refusals():
         assert late <= HELD_WITHIN_S
-    assert run.stopped_s["disable"] - since > DISABLE_S - 3 * PERIOD_S
+    assert run.stopped_s["disable"] - since > DISABLE_S - BEAT_AGE_S
 
 
 @pytest.mark.parametrize("trial", range(3))
@@ -74,7 +76,7 @@ def test_s25_a_runtime_that_was_stopped_for_a_second_finds_its_arms_held_and_mov
         stopped = run.kill(what=signal.SIGSTOP)
         run.look_until("disable")
         assert_held_in_time(run, stopped)
-        assert run.stopped_s["hold"] - stopped > LOST_S - 3 * PERIOD_S
+        assert run.stopped_s["hold"] - stopped > LOST_S - BEAT_AGE_S
         held = run.look()
         time.sleep(max(0.0, stopped + 1.0 - time.monotonic()))
         run.kill(what=signal.SIGCONT)
@@ -110,6 +112,6 @@ def test_s26_a_killed_watchdog_ends_the_run_within_50_ms(tmp_path: Path):
     assert first.value > first.limit == LOST_S
     date = data.origin_ns * 1e-9 + first.time_s
     late = date - (killed + time.time() - time.monotonic())
-    assert late > LOST_S - 3 * PERIOD_S
+    assert late > LOST_S - BEAT_AGE_S
     if not realtime.refusals():
         assert late <= HELD_WITHIN_S
