@@ -80,5 +80,7 @@ def test_a_study_goes_on_where_it_was(tmp_path: Path) -> None:
     assert result["tip_error_median_m"] < result["uncalibrated_tip_error_median_m"]
     assert result["touch"]["tip_error_median_m"] < result["uncalibrated_tip_error_median_m"]
     assert result["touch"]["samples_median"] == 12
+    assert result["failed"] == []
+    assert trials.read_text() == first
     other = RUN.invoke(app, [*study, "--seed", "9"])
     assert isinstance(other.exception, CalibrationError)

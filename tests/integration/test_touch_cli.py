@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,13 +15,14 @@ from operators import Person
 from typer.testing import CliRunner
 
 from viskill_deploy.calibrate.measurements import ARM_KEY, load
+from viskill_deploy.calibrate.study import Study, Trial
 from viskill_deploy.calibrate.truths import draw_robot, hidden_robot
 from viskill_deploy.cli import touching
 from viskill_deploy.cli.main import app
 from viskill_deploy.core.arm_errors import with_errors
 from viskill_deploy.core.calibration_files import calibrated, read_calibration
 from viskill_deploy.core.description import load_cell
-from viskill_deploy.core.errors import CalibrationError
+from viskill_deploy.core.errors import CalibrationError, SafetyStop
 from viskill_deploy.drivers.crtk.driver import CrtkDriver
 from viskill_deploy.drivers.crtk.inproc import Inproc
 from viskill_deploy.drivers.crtk.listening import listening
@@ -286,6 +288,28 @@ def test_touch_alone_can_be_studied(tmp_path: Path) -> None:
     assert found["tip_error_median_m"] < 1e-3 < found["uncalibrated_tip_error_median_m"]
     table = RUN.invoke(app, [*study[:-1], "--output", str(tmp_path / "trials.jsonl")])
     assert "touch" in table.stdout
+
+
+def test_a_robot_that_cannot_be_calibrated_is_named_and_does_not_end_a_study(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = Study.truth
+
+    def truth(self: Study, number: int, record: Any) -> dict[str, list[Trial]]:
+        if number == 0:
+            raise SafetyStop("the gate stepped in (S17)")
+        return real(self, number, record)
+
+    monkeypatch.setattr(Study, "truth", truth)
+    study = ["calibrate", "study", "--only", "touch", "--output", str(tmp_path / "trials.jsonl")]
+    none = RUN.invoke(app, [*study, "--truths", "1"])
+    assert "no robot was calibrated: truth 0: the gate stepped in" in str(none.exception)
+    done = RUN.invoke(app, [*study, "--truths", "2", "--json"])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert (told["truths"], told["touch"]["arms"]) == (2, 2)
+    assert told["failed"] == ["truth 0: the gate stepped in (S17)"]
+    assert "truth 0" in RUN.invoke(app, [*study, "--truths", "2"]).stdout
 
 
 @pytest.mark.parametrize("source", ["touch", "tracker"])

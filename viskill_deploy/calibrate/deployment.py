@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import datetime
 import functools
-import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import closing
@@ -23,12 +22,13 @@ from viskill_deploy.calibrate.collect import collect
 from viskill_deploy.calibrate.fit import fit_arm
 from viskill_deploy.calibrate.measurements import load
 from viskill_deploy.calibrate.programme import choose_poses
-from viskill_deploy.calibrate.study import poses_for
+from viskill_deploy.calibrate.study import CALIBRATING, poses_for
+from viskill_deploy.calibrate.trial_lines import add_line, read_lines
 from viskill_deploy.calibrate.truths import HiddenRobot, hidden_robot
 from viskill_deploy.core.calibration_files import calibrated, read_calibration, write_calibration
 from viskill_deploy.core.clock import MonotonicClock
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.errors import CalibrationError, KinematicsError, MotionError, SafetyStop
+from viskill_deploy.core.errors import KinematicsError, MotionError, SafetyStop
 from viskill_deploy.core.types import Scene
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.runtime.boundaries import Job
@@ -44,9 +44,6 @@ from viskill_deploy.sim.tracker import SimulatedTracker
 from viskill_deploy.sim.world import WorldOptions
 
 TRIALS = "trials.jsonl"
-CALIBRATING = WorldOptions(period_s=0.01)
-"""Poses are visited at 100 Hz: points at rest do not tell the difference, and it is quicker."""
-
 Condition = Literal["uncalibrated plan", "calibrated plan", "calibrated closed-loop"]
 CONDITIONS: tuple[Condition, ...] = (
     "uncalibrated plan",
@@ -136,12 +133,10 @@ def run(
         for condition in CONDITIONS
         if (robot, number, condition) not in known
     ]
-    with path.open("a", encoding="utf-8") as file:
-        for trial in _each(processes, _try, wanted):
-            file.write(json.dumps(asdict(trial)) + "\n")
-            file.flush()
-            done.append(trial)
-            tell(f"robot {trial.robot}, trial {trial.number}, {trial.condition}: {_came_to(trial)}")
+    for trial in _each(processes, _try, wanted):
+        add_line(path, asdict(trial))
+        done.append(trial)
+        tell(f"robot {trial.robot}, trial {trial.number}, {trial.condition}: {_came_to(trial)}")
     return [trial for trial in done if trial.robot in robots and trial.number < what.trials]
 
 
@@ -171,22 +166,10 @@ def read_trials(path: Path, what: Deployment) -> list[Trial]:
     Raises:
         CalibrationError: they are of something else.
     """
-    title = json.dumps(what.title())
-    if not path.exists():
-        path.write_text(title + "\n", encoding="utf-8")
-        return []
-    text = path.read_text(encoding="utf-8")
-    whole = text[: text.rfind("\n") + 1]
-    first, *rest = whole.splitlines() or [""]
-    if first != title:
-        raise CalibrationError(f"{path}: holds trials of {first}, not {title}; name another folder")
-    if whole != text:  # the last one was cut off while it was written
-        path.write_text(whole, encoding="utf-8")
-    return [_read(line) for line in rest]
+    return [_read(row) for row in read_lines(path, what.title())]
 
 
-def _read(line: str) -> Trial:
-    row = json.loads(line)
+def _read(row: dict[str, Any]) -> Trial:
     return Trial(**row | {"start_m": tuple(row["start_m"])})
 
 

@@ -6,7 +6,7 @@ import math
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from viskill_deploy.calibrate.collect import MOVING_EVERY, collect
+from viskill_deploy.calibrate.collect import LOT, MOVING_EVERY, collect
 from viskill_deploy.calibrate.error_model import ErrorModel
 from viskill_deploy.calibrate.fit import fit_arm
 from viskill_deploy.calibrate.landmarks import Landmark, board_landmarks, choose_landmarks
@@ -44,6 +44,9 @@ from viskill_deploy.sim.world import WorldOptions
 
 WAYS = ("tracker", "touch")
 """How arms are measured."""
+
+CALIBRATING = WorldOptions(period_s=0.01, joint_noise_rad=ENCODER_RAD, joint_noise_m=ENCODER_M)
+"""Poses are visited at 100 Hz: points at rest do not tell the difference, and it is quicker."""
 
 HELD_OUT = 200
 """Poses of the same kind, not measured, at which a calibrated arm is held against the truth."""
@@ -86,8 +89,9 @@ _ARRAYS = ("truth", "found", "tip_errors_m", "before_m")
 
 
 def poses_for(samples: int) -> int:
-    """How many poses give so many rows: each at rest, some on the way too."""
-    return samples * MOVING_EVERY // (MOVING_EVERY + 1)
+    """How many poses give so many rows at most: each at rest, some on the way too."""
+    whole, rest = divmod(samples, LOT + math.ceil(LOT / MOVING_EVERY))
+    return whole * LOT + max(n for n in range(LOT) if n + math.ceil(n / MOVING_EVERY) <= rest)
 
 
 @dataclass(frozen=True)
@@ -156,7 +160,7 @@ class Study:
         cell, dice = self.cell, self.seed + number
         count = poses_for(self.samples)
         chosen = [choose_poses(cell, index, count, dice) for index in range(len(cell.arms))]
-        driver = LoopbackDriver(cell, WorldOptions(truth=truth), dice)
+        driver = LoopbackDriver(cell, replace(CALIBRATING, truth=truth), dice)
         driver.connect()
         task = load_task(cell.name)
         driver.reset(task.sample_layout(rng, task.distributions[0]))
@@ -170,8 +174,8 @@ class Study:
 
     def _touch(self, number: int, truth: tuple[ArmErrors, ...], folder: Path) -> None:
         """A person touches points of the board."""
-        noisy = WorldOptions(truth=truth, joint_noise_rad=ENCODER_RAD, joint_noise_m=ENCODER_M)
-        hand = SimulatedHand(self.cell, noisy, HandOptions(), self.seed + number)
+        world = replace(CALIBRATING, truth=truth)
+        hand = SimulatedHand(self.cell, world, HandOptions(), self.seed + number)
         touch(self.cell, hand, hand, self._marks, folder)
 
     @cached_property

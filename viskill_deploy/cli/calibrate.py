@@ -21,6 +21,7 @@ from viskill_deploy.calibrate.measurements import load
 from viskill_deploy.calibrate.parameters import NAMES
 from viskill_deploy.calibrate.port import port_of
 from viskill_deploy.calibrate.study import WAYS, Study, Trial, figures
+from viskill_deploy.calibrate.trial_lines import add_line, read_lines
 from viskill_deploy.calibrate.truths import draw_robot
 from viskill_deploy.cli import collect, measure_scene
 from viskill_deploy.cli.poses_found import port_facts, port_words, pose_facts, pose_words
@@ -28,7 +29,7 @@ from viskill_deploy.cli.touching import TOUCHES
 from viskill_deploy.core.arm_errors import with_errors
 from viskill_deploy.core.calibration_files import calibrated, read_calibration, write_calibration
 from viskill_deploy.core.description import CellDescription, load_cell
-from viskill_deploy.core.errors import CalibrationError
+from viskill_deploy.core.errors import CalibrationError, MotionError, SafetyStop
 from viskill_deploy.observe.calibration_report import write_calibration_report
 from viskill_deploy.observe.recording import Recorder
 
@@ -187,42 +188,37 @@ def study_command(
     study = Study(described, seed, samples, points, ways)
     title: dict[str, Any] = {"cell": cell, "seed": seed, "samples": samples, "points": points}
     title |= {} if only is None else {"only": only.value}
-    rows = _rows(output, title)
+    rows = [] if output is None else read_lines(output, title)
     with Progress(console=Console(stderr=True)) as bar:
         shown = bar.add_task("truths", total=truths, completed=len(rows))
         for number in range(len(rows), truths):
-            done = study.truth(number, lambda path, period: Recorder(path, described, period))
-            row = {way: [trial.row() for trial in trials] for way, trials in done.items()}
+            try:
+                done = study.truth(number, lambda path, period: Recorder(path, described, period))
+                row: dict[str, Any] = {w: [trial.row() for trial in t] for w, t in done.items()}
+            except (CalibrationError, MotionError, SafetyStop) as error:
+                row = {"failed": [str(error)]}
             rows.append(row)
             if output is not None:
-                with output.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(row) + "\n")
+                add_line(output, row)
             bar.update(shown, completed=len(rows))
-    found = {way: figures([Trial.of(trial) for row in rows for trial in row[way]]) for way in ways}
+    failed = [f"truth {n}: {row['failed'][0]}" for n, row in enumerate(rows) if "failed" in row]
+    whole = [row for row in rows if "failed" not in row]
+    if not whole:
+        raise CalibrationError(f"no robot was calibrated: {'; '.join(failed)}")
+    found = {way: figures([Trial.of(trial) for row in whole for trial in row[way]]) for way in ways}
+    title |= {"truths": len(rows), "failed": failed}
     if json_:
         touched = {"touch": found["touch"]} if "touch" in found else {}
-        print(json.dumps(title | {"truths": len(rows)} | found.get("tracker", {}) | touched))
+        print(json.dumps(title | found.get("tracker", {}) | touched))
         return
+    for words in failed:
+        print(words)
     table = Table(title=f"{len(rows)} hidden robots")
     for column in ("figure", *ways):
         table.add_column(column)
     for name in found[ways[0]]:
         table.add_row(name, *(f"{each[name]:.4g}" for each in found.values()))
     Console().print(table)
-
-
-def _rows(output: Path | None, title: dict[str, Any]) -> list[dict[str, list[dict[str, Any]]]]:
-    """Trials that are there already."""
-    if output is None:
-        return []
-    if not output.exists():
-        output.parent.mkdir(parents=True, exist_ok=True)
-        output.write_text(json.dumps(title) + "\n", encoding="utf-8")
-        return []
-    first, *rest = output.read_text(encoding="utf-8").splitlines()
-    if json.loads(first) != title:
-        raise CalibrationError(f"{output}: holds another study, {first}; name another file")
-    return [json.loads(line) for line in rest if line.endswith("]}")]
 
 
 def _facts(fits: dict[str, ArmFit]) -> dict[str, Any]:
