@@ -28,7 +28,7 @@ from viskill_deploy.calibrate.truths import HiddenRobot, hidden_robot
 from viskill_deploy.core.calibration_files import calibrated, read_calibration, write_calibration
 from viskill_deploy.core.clock import MonotonicClock
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.errors import KinematicsError, MotionError, SafetyStop
+from viskill_deploy.core.errors import CalibrationError, KinematicsError, MotionError, SafetyStop
 from viskill_deploy.core.types import Scene
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.runtime.boundaries import Job
@@ -44,6 +44,11 @@ from viskill_deploy.sim.tracker import SimulatedTracker
 from viskill_deploy.sim.world import WorldOptions
 
 TRIALS = "trials.jsonl"
+PERIOD_S = CALIBRATING.period_s
+"""Trials run at 100 Hz, too, a usual rate of dVRK clients."""
+
+NOT_CALIBRATED = "this robot could not be calibrated"
+
 Condition = Literal["uncalibrated plan", "calibrated plan", "calibrated closed-loop"]
 CONDITIONS: tuple[Condition, ...] = (
     "uncalibrated plan",
@@ -72,7 +77,13 @@ class Deployment:
 
     def title(self) -> dict[str, Any]:
         """What two files of trials have to have in common to be one."""
-        return {"bundle": self.bundle.name, "samples": self.samples, "seed": self.seed}
+        rate = round(1.0 / PERIOD_S)
+        return {
+            "bundle": self.bundle.name,
+            "samples": self.samples,
+            "seed": self.seed,
+            "rate_hz": rate,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,15 +128,14 @@ def run(
 
     Raises:
         CalibrationError: the folder holds trials of something else.
-        SafetyStop: the gate stepped in while a robot was measured.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / TRIALS
     done = read_trials(path, what)
     known = {(trial.robot, trial.number, trial.condition) for trial in done}
     robots = range(what.seed, what.seed + what.robots)
-    for robot in _each(processes, _calibrate, [(what, folder, robot) for robot in robots]):
-        tell(f"robot {robot} is calibrated")
+    for note in _each(processes, _calibrate, [(what, folder, robot) for robot in robots]):
+        tell(note)
     wanted = [
         (what, folder, robot, number, condition)
         for robot in robots
@@ -186,11 +196,18 @@ def _file_of(folder: Path, robot: int) -> Path:
     return folder / f"robot-{robot}.json"
 
 
-def _calibrate(what: Deployment, folder: Path, robot: int) -> int:
-    """Measures a robot and writes its calibration, where there is none; returns the robot."""
+def _calibrate(what: Deployment, folder: Path, robot: int) -> str:
+    """Measures a robot and writes its calibration, where there is none; says how that went."""
     file = _file_of(folder, robot)
-    if file.exists():
-        return robot
+    try:
+        if not file.exists():
+            _measure(what, folder, robot, file)
+    except (CalibrationError, MotionError, SafetyStop) as error:
+        return f"robot {robot} is not calibrated: {error}"
+    return f"robot {robot} is calibrated"
+
+
+def _measure(what: Deployment, folder: Path, robot: int, file: Path) -> None:
     cell = _prepared(what.bundle).cell
     hidden, arms = _robot(cell, robot), range(len(cell.arms))
     count = poses_for(what.samples)
@@ -209,7 +226,6 @@ def _calibrate(what: Deployment, folder: Path, robot: int) -> int:
     whole = file.with_suffix(".part")
     write_calibration(whole, content)
     whole.rename(file)  # a file that is there is whole
-    return robot
 
 
 def _layout(prepared: Prepared, robot: int, number: int) -> Scene:
@@ -222,9 +238,10 @@ def _try(what: Deployment, folder: Path, robot: int, number: int, condition: Con
     """One trial."""
     prepared = _prepared(what.bundle)
     layout = _layout(prepared, robot, number)
-    world = _robot(prepared.cell, robot).world(prepared.cell, WorldOptions())
-    if condition != "uncalibrated plan":
-        file = _file_of(folder, robot)
+    world = _robot(prepared.cell, robot).world(prepared.cell, WorldOptions(period_s=PERIOD_S))
+    file, needs_calibration = _file_of(folder, robot), condition != CONDITIONS[0]
+    is_ready = file.exists() or not needs_calibration
+    if needs_calibration and is_ready:
         cell = calibrated(prepared.cell, read_calibration(file), file)
         prepared = replace(prepared, cell=cell, task=load_task(prepared.task.name, cell))
     mode: Mode = "closed-loop" if condition.endswith("closed-loop") else "plan"
@@ -234,7 +251,11 @@ def _try(what: Deployment, folder: Path, robot: int, number: int, condition: Con
     driver.connect()
     driver.reset(layout)
     off = driver.world.seeing.error(layout.active)
-    result = _episode(prepared, driver, mode, np.random.default_rng([LAYOUTS, robot, number, 1]))
+    result = EpisodeResult(0, refused=NOT_CALIBRATED)
+    if is_ready:
+        result = _episode(
+            prepared, driver, mode, np.random.default_rng([LAYOUTS, robot, number, 1])
+        )
     x, y = layout.pose(layout.active)[:2, 3].tolist()
     return Trial(
         robot,

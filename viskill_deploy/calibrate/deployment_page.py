@@ -32,8 +32,8 @@ INTRODUCTION = """# A policy on hidden robots, before and after calibration
 dVRK: {wins} of {trials} trials of BiPegTransfer were done. Here the same is tried on {robots}
 simulated robots that are not as their files say ([calibration.md](calibration.md#hidden-robots)):
 bases, joint zeros, shafts, cables, board, and where the block is seen, each drawn from a seed.
-Every trial goes through line and gate. Calibration knows what {samples} points an arm of a
-simulated tracker tell. A success here says nothing about a real dVRK; it says what the errors above
+Every trial goes through line and gate, stepped, at {rate} Hz. Calibration knows what {samples}
+points an arm of a simulated tracker tell. A success here says nothing about a real dVRK; it says what the errors above
 do to a policy, and what calibration does about them.
 
 Intervals are Wilson's, 95 %. Trials on one robot are more alike than trials on several, so
@@ -85,6 +85,7 @@ def page(what: Deployment, trials: Sequence[Trial], command: str) -> str:
             trials=PAPER[1],
             robots=robots,
             samples=what.samples,
+            rate=what.title()["rate_hz"],
             command=command,
         ),
         _main_table(found),

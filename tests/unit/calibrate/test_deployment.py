@@ -8,6 +8,7 @@ import pytest
 from calibrations import exact_calibration
 from typer.testing import CliRunner
 
+from viskill_deploy.calibrate import deployment
 from viskill_deploy.calibrate.deployment import (
     CONDITIONS,
     TRIALS,
@@ -22,7 +23,7 @@ from viskill_deploy.calibrate.truths import hidden_robot
 from viskill_deploy.cli.main import app
 from viskill_deploy.core.calibration_files import write_calibration
 from viskill_deploy.core.description import load_cell
-from viskill_deploy.core.errors import CalibrationError
+from viskill_deploy.core.errors import CalibrationError, SafetyStop
 
 BUNDLE = Path(__file__).parents[3] / "policies" / "bipegtransfer-viskill"
 WHAT = Deployment(BUNDLE, robots=1, trials=1)
@@ -97,3 +98,20 @@ def test_only_what_is_not_there_yet_is_run(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["conditions"]["calibrated plan"]["trials"] == 1
     assert "--robots 1 --trials 1`" in (tmp_path / "page.md").read_text()
+
+
+def test_a_robot_that_cannot_be_calibrated_is_told_and_counts_as_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def measure(*_: object) -> None:
+        raise SafetyStop("the gate stepped in (S17)")
+
+    monkeypatch.setattr(deployment, "_measure", measure)
+    read_trials(tmp_path / TRIALS, WHAT)
+    with (tmp_path / TRIALS).open("a") as file:
+        file.write(json.dumps(asdict(trial(CONDITIONS[0]))) + "\n")
+    told: list[str] = []
+    _, *calibrated = run(WHAT, tmp_path, tell=told.append)
+    assert told[0] == "robot 100 is not calibrated: the gate stepped in (S17)"
+    assert [t.refused for t in calibrated] == [deployment.NOT_CALIBRATED] * 2
+    assert not any(t.success for t in calibrated)
