@@ -33,8 +33,8 @@ dVRK: {wins} of {trials} trials of BiPegTransfer were done. Here the same is tri
 simulated robots that are not as their files say ([calibration.md](calibration.md#hidden-robots)):
 bases, joint zeros, shafts, cables, board, and where the block is seen, each drawn from a seed.
 Every trial goes through line and gate, stepped, at {rate} Hz. Calibration knows what {samples}
-points an arm of a simulated tracker tell. A success here says nothing about a real dVRK; it says what the errors above
-do to a policy, and what calibration does about them.
+points an arm of a simulated tracker tell. A success here says nothing about a real dVRK; it says
+what the errors above do to a policy, and what calibration does about them.
 
 Intervals are Wilson's, 95 %. Trials on one robot are more alike than trials on several, so
 intervals over all robots are narrower than they should be; the spread between robots stands beside
