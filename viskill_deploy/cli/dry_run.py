@@ -72,8 +72,8 @@ def command(
     distribution: Annotated[
         str | None,
         typer.Option(
-            help="Where each episode's blocks and goal are drawn from: reference (the default of "
-            "closed loop) or wide. Without it, a plan starts from the scene as it is."
+            help="Where each episode's blocks and goal are drawn from: reference (the default) or "
+            "wide."
         ),
     ] = None,
     mode: Annotated[

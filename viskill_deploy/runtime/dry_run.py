@@ -44,8 +44,7 @@ class DryRunOptions:
     """What to run.
 
     Attributes:
-        distribution: layouts are drawn from it, one an episode. None draws the first from the
-            task's first distribution; later plans then start from the scene as they find it.
+        distribution: layouts are drawn from it, one an episode; None for the task's first.
         world: control period, noise and delay of the simulated cell.
         real_time: the simulated cell runs as a process of its own, against the clock.
         driver: what stands between runtime and simulated cell.
@@ -137,7 +136,7 @@ def _episode(
     episode: int,
 ) -> EpisodeResult:
     rng = np.random.default_rng([LAYOUTS, options.seed, episode])
-    layout = layout_of(prepared, options, episode, rng)
+    layout = layout_of(prepared, options, rng)
     if layout is not None:
         session.driver.reset(layout)
     began = session.driver.clock.now()
@@ -161,15 +160,12 @@ def _episode(
 def layout_of(
     prepared: Prepared | PreparedTrajectory,
     options: DryRunOptions,
-    episode: int,
     rng: np.random.Generator,
 ) -> Scene | None:
     """Where the things of an episode are put; None leaves them where they are."""
     if isinstance(prepared, Prepared) and prepared.scene is not None:
         return prepared.scene.scene
-    distribution = options.distribution
-    if distribution is None and (episode == 0 or options.mode == "closed-loop"):
-        distribution = next(iter(prepared.distributions), None)
+    distribution = options.distribution or next(iter(prepared.distributions), None)
     if prepared.task is None or distribution is None:
         return None
     return prepared.task.sample_layout(rng, distribution)

@@ -15,7 +15,7 @@ from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.types import Scene
 from viskill_deploy.drivers.loopback_served import ServedLoopback
 from viskill_deploy.motion.links import CellLinks
-from viskill_deploy.runtime.dry_run import DryRunOptions, dry_run
+from viskill_deploy.runtime.dry_run import DryRunOptions, Mode, dry_run, layout_of
 from viskill_deploy.runtime.preflight import Sources, prepare
 from viskill_deploy.sim.world import WorldOptions
 
@@ -47,6 +47,17 @@ def test_a_dry_run_starts_from_the_scene_file_with_the_calibrated_cell(tmp_path:
     np.testing.assert_allclose(recorder.first.pose("block1")[:2, 3], [0.013, -0.027], atol=5e-4)
     used = {entry["path"] for entry in figures["files"]}
     assert {str(scene), str(calibration)} <= used
+
+
+@pytest.mark.parametrize("mode", ["closed-loop", "plan"])
+def test_every_episode_draws_its_layout_where_nobody_says_where_things_are(mode: Mode) -> None:
+    prepared, rng = prepare(BUNDLE), np.random.default_rng(0)
+    places = []
+    for _ in range(2):
+        layout = layout_of(prepared, DryRunOptions(mode=mode), rng)
+        assert layout is not None
+        places.append(layout.pose(layout.active)[:2, 3])
+    assert not np.allclose(places[0], places[1])
 
 
 @pytest.mark.parametrize(
