@@ -54,6 +54,12 @@ class Book:
             self._file.write(f"# pose {pose} done\n")
             self._file.flush()
 
+    def give_up(self, pose: int) -> None:
+        """Notes that an arm cannot get to a pose: it is left out from then on."""
+        self.done = pose + 1
+        self._file.write(f"# pose {pose} given up\n")
+        self._file.flush()
+
     def close(self) -> None:
         """Closes the file, once it is on the disk."""
         self._file.flush()
@@ -62,7 +68,7 @@ class Book:
 
 
 def _resume(path: Path, title: str) -> tuple[int, int]:
-    """Cuts a file off after the last pose that was done; the next pose, and how many that leaves.
+    """Cuts a file off after the last pose that is over; the next one, and how many were visited.
 
     Raises:
         CalibrationError: it was written by another programme, or for another arm.
@@ -72,8 +78,9 @@ def _resume(path: Path, title: str) -> tuple[int, int]:
         raise CalibrationError(
             f"{path}: holds measurements of another programme or arm; name another folder"
         )
-    ends = list(re.finditer(r"^# pose (\d+) done\n", text, re.MULTILINE))
+    ends = list(re.finditer(r"^# pose (\d+) (done|given up)\n", text, re.MULTILINE))
     kept = text[: ends[-1].end()] if ends else title + measurements.header()
     if kept != text:  # a file that stays as it is keeps its date, which is that of the calibration
         path.write_text(kept, encoding="utf-8")
-    return (int(ends[-1].group(1)) + 1 if ends else 0), len(ends)
+    visited = sum(end.group(2) == "done" for end in ends)
+    return (int(ends[-1].group(1)) + 1 if ends else 0), visited

@@ -54,6 +54,9 @@ PAST = 60
 BLIND_POSES = 3
 """A tracker that is covered at a pose is soon free again; one that stays blind is not."""
 
+BLOCKED = "S17"
+"""Rule that stops an arm which does not follow: something is in its way to a pose."""
+
 AGAIN = "what was measured is kept, put the cause right and start again"
 
 LOT = 8
@@ -83,7 +86,7 @@ class Collected:
     Attributes:
         files: measurements of each arm.
         measured: poses that were measured, those of earlier calls included.
-        skipped: poses that the gate's rehearsal refused.
+        skipped: poses that the gate's rehearsal refused, or that an arm could not get to.
     """
 
     files: Mapping[str, Path]
@@ -142,6 +145,9 @@ def collect(
                 progress("measured", books[-1].visited)
                 continue
             session.come_to_rest(result)
+            if result.stopped_by == BLOCKED:
+                for book in books:
+                    book.give_up(book.done)
             cause = ": ".join(filter(None, (result.stopped_by, result.reason)))
             rest: list[_Visits] | None = resumed(session, operator, result, look)
             if rest is None:

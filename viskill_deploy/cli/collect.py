@@ -171,7 +171,10 @@ def command(
         finally:
             robot.close()
     if found.skipped:
-        console.print(f"{found.skipped} poses were left out: the gate would have stepped in.")
+        console.print(
+            f"{found.skipped} poses were left out: the gate would have stepped in, or has, because "
+            "something was in an arm's way."
+        )
     _show({"files": {name: str(path) for name, path in found.files.items()}}, json_)
 
 
