@@ -1,15 +1,17 @@
 """A robot that nobody knows, from the first measurement to the task done, by the commands alone.
 
     python benchmarks/joined_run.py runs/joined [--truth 3] [--samples 120] [--episodes 5]
-        [--transport dds] [--speed 1.0] [--kill]
+        [--trials 1] [--transport dds] [--speed 1.0] [--kill]
 
 A hidden robot (docs/calibration.md) is served over CRTK as dVRK arms with a tracker beside them.
 `viskill calibrate collect --driver crtk`, `fit`, `check` and `execute --mode plan` are run as a
 person would run them; whoever stands at the pedal, answers, and puts the block back is simulated.
 With --kill each of the commands is ended by SIGKILL once on its way and started again: what it had
-written has to be there, and the arms have to be at rest without it. Then the same policy is run on
-the same robot on the stepped loopback, calibrated and not. Prints one JSON object. Started again
-with the same folder it goes on with what is there.
+written has to be there, and the arms have to be at rest without it. --trials is how often the task
+is done, from another layout each time; a trial that ends because this machine stood still (S20) is
+told and begun again, any other end counts. Then the same policy is run on the same robot on the
+stepped loopback, calibrated and not. Prints one JSON object. Started again with the same folder it
+goes on with what is there.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +47,7 @@ from viskill_deploy.sim.world import WorldOptions
 
 BUNDLE = Path(__file__).parents[1] / "policies" / "bipegtransfer-viskill"
 PRESS, LET_GO, HELD = "press the consent pedal", "take your foot off", "resume?"
+MACHINE = "S20"
 LOOK_S, TRIES, STILL_RAD_S, STOPPED_S = 0.05, 30, 0.02, 2.0
 
 
@@ -252,11 +256,13 @@ def executed(bench: Bench, layout: Scene, speed: float, kill: bool) -> dict[str,
         output, code = run()
         found |= {"starts": start, "exit": code}
         print(f"execute, start {start}: exit code {code}", file=sys.stderr, flush=True)
-        if code == 0:
-            break
+        if (file := output / "result.json").exists():
+            episode = json.loads(file.read_text(encoding="utf-8"))["episode_results"][0]
+            if episode["stopped_by"] != MACHINE:
+                break
         time.sleep(1.0)
-    result = json.loads((output / "result.json").read_text(encoding="utf-8"))
-    episode = result["episode_results"][0]
+    else:
+        raise RuntimeError(f"execute came to no end of its own in {TRIES} starts")
     found |= {key: episode[key] for key in ("stopped_by", "refused", "resumed", "retries")}
     return found | {"success": bool(task.success(bench.server.active_object(), layout))}
 
@@ -283,23 +289,32 @@ def main() -> None:
     parser.add_argument("--truth", default="3", help="seed, or file of `viskill calibrate truth`")
     parser.add_argument("--samples", type=int, default=120)
     parser.add_argument("--episodes", type=int, default=5)
+    parser.add_argument("--trials", type=int, default=1)
     parser.add_argument("--transport", default="dds", choices=("dds", "ros1", "ros2"))
     parser.add_argument("--speed", type=float, default=1.0)
     parser.add_argument("--kill", action="store_true", help="end every command once by SIGKILL")
     args = parser.parse_args()
     args.folder.mkdir(parents=True, exist_ok=True)
     task = load_task("bipegtransfer")
-    layout = task.sample_layout(np.random.default_rng(1), task.distributions[0])
+    layouts = [
+        task.sample_layout(np.random.default_rng(1 + trial), task.distributions[0])
+        for trial in range(args.trials)
+    ]
     hidden = hidden_robot(args.truth, load_cell("bipegtransfer"))
     report = args.folder / "joined.json"
     found: dict[str, Any] = {"truth": hidden.about, "transport": args.transport}
     if report.exists():
         found |= json.loads(report.read_text(encoding="utf-8"))
-    with served(args.folder, args.transport, hidden, layout, 1) as bench:
+    with served(args.folder, args.transport, hidden, layouts[0], 1) as bench:
         stages: dict[str, Callable[[], dict[str, Any]]] = {
             "collect": lambda: collected(bench, args.samples, args.speed, args.kill),
             "fit": lambda: fitted(bench, args.kill),
-            "execute": lambda: executed(bench, layout, args.speed, args.kill),
+            **{
+                f"execute {trial}": partial(
+                    executed, bench, layout, args.speed, args.kill and trial == 0
+                )
+                for trial, layout in enumerate(layouts)
+            },
             "stepped": lambda: stepped(bench, args.truth, args.episodes),
         }
         for name, stage in stages.items():
@@ -312,6 +327,8 @@ def main() -> None:
                 found[name]["wall_s"] = round(time.monotonic() - began, 1)
                 report.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
                 print(f"{name}: {json.dumps(found[name])}", file=sys.stderr, flush=True)
+    done = [found[f"execute {trial}"]["success"] for trial in range(args.trials)]
+    found["executed"] = f"{sum(done)} of {len(done)}"
     print(json.dumps(found, indent=1))
 
 
