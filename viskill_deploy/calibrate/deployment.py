@@ -24,7 +24,7 @@ from viskill_deploy.calibrate.measurements import load
 from viskill_deploy.calibrate.programme import choose_poses
 from viskill_deploy.calibrate.study import CALIBRATING, poses_for
 from viskill_deploy.calibrate.trial_lines import add_line, read_lines
-from viskill_deploy.calibrate.truths import HiddenRobot, hidden_robot
+from viskill_deploy.calibrate.truths import HiddenRobot, hidden_robot, scaled
 from viskill_deploy.core.calibration_files import calibrated, read_calibration, write_calibration
 from viskill_deploy.core.clock import MonotonicClock
 from viskill_deploy.core.description import CellDescription
@@ -49,12 +49,11 @@ PERIOD_S = CALIBRATING.period_s
 
 NOT_CALIBRATED = "this robot could not be calibrated"
 
-Condition = Literal["uncalibrated plan", "calibrated plan", "calibrated closed-loop"]
-CONDITIONS: tuple[Condition, ...] = (
-    "uncalibrated plan",
-    "calibrated plan",
-    "calibrated closed-loop",
-)
+Condition = Literal[
+    "uncalibrated plan", "uncalibrated closed-loop", "calibrated plan", "calibrated closed-loop"
+]
+UNCALIBRATED: tuple[Condition, ...] = ("uncalibrated plan", "uncalibrated closed-loop")
+CALIBRATED: tuple[Condition, ...] = ("calibrated plan", "calibrated closed-loop")
 
 
 @dataclass(frozen=True)
@@ -67,6 +66,8 @@ class Deployment:
         trials: of each condition on each robot.
         samples: rows of measurements an arm that a robot is calibrated with.
         seed: of the first robot.
+        scale: errors of the robots, as a part of those of `calibrate/truths.py`.
+        conditions: what is tried on each.
     """
 
     bundle: Path
@@ -74,16 +75,14 @@ class Deployment:
     trials: int = 20
     samples: int = 120
     seed: int = 100
+    scale: float = 1.0
+    conditions: tuple[Condition, ...] = ("uncalibrated plan", *CALIBRATED)
 
     def title(self) -> dict[str, Any]:
         """What two files of trials have to have in common to be one."""
-        rate = round(1.0 / PERIOD_S)
-        return {
-            "bundle": self.bundle.name,
-            "samples": self.samples,
-            "seed": self.seed,
-            "rate_hz": rate,
-        }
+        title = {"bundle": self.bundle.name, "samples": self.samples, "seed": self.seed}
+        scale = {} if self.scale == 1.0 else {"scale": self.scale}
+        return title | {"rate_hz": round(1.0 / PERIOD_S)} | scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,13 +133,14 @@ def run(
     done = read_trials(path, what)
     known = {(trial.robot, trial.number, trial.condition) for trial in done}
     robots = range(what.seed, what.seed + what.robots)
-    for note in _each(processes, _calibrate, [(what, folder, robot) for robot in robots]):
+    to_calibrate = robots if set(what.conditions) & set(CALIBRATED) else ()
+    for note in _each(processes, _calibrate, [(what, folder, robot) for robot in to_calibrate]):
         tell(note)
     wanted = [
         (what, folder, robot, number, condition)
         for robot in robots
         for number in range(what.trials)
-        for condition in CONDITIONS
+        for condition in what.conditions
         if (robot, number, condition) not in known
     ]
     for trial in _each(processes, _try, wanted):
@@ -188,8 +188,9 @@ def _prepared(bundle: Path) -> Prepared:
     return prepare(bundle)
 
 
-def _robot(cell: CellDescription, seed: int) -> HiddenRobot:
-    return hidden_robot(str(seed), cell)
+def _robot(what: Deployment, cell: CellDescription, seed: int) -> HiddenRobot:
+    robot = hidden_robot(str(seed), cell)
+    return robot if what.scale == 1.0 else replace(robot, truth=scaled(robot.truth, what.scale))
 
 
 def _file_of(folder: Path, robot: int) -> Path:
@@ -209,7 +210,7 @@ def _calibrate(what: Deployment, folder: Path, robot: int) -> str:
 
 def _measure(what: Deployment, folder: Path, robot: int, file: Path) -> None:
     cell = _prepared(what.bundle).cell
-    hidden, arms = _robot(cell, robot), range(len(cell.arms))
+    hidden, arms = _robot(what, cell, robot), range(len(cell.arms))
     count = poses_for(what.samples)
     poses = np.stack([choose_poses(cell, arm, count, robot) for arm in arms], axis=1)
     with closing(LoopbackDriver(cell, hidden.world(cell, CALIBRATING), robot)) as driver:
@@ -238,8 +239,8 @@ def _try(what: Deployment, folder: Path, robot: int, number: int, condition: Con
     """One trial."""
     prepared = _prepared(what.bundle)
     layout = _layout(prepared, robot, number)
-    world = _robot(prepared.cell, robot).world(prepared.cell, WorldOptions(period_s=PERIOD_S))
-    file, needs_calibration = _file_of(folder, robot), condition != CONDITIONS[0]
+    world = _robot(what, prepared.cell, robot).world(prepared.cell, WorldOptions(period_s=PERIOD_S))
+    file, needs_calibration = _file_of(folder, robot), condition in CALIBRATED
     is_ready = file.exists() or not needs_calibration
     if needs_calibration and is_ready:
         cell = calibrated(prepared.cell, read_calibration(file), file)

@@ -8,7 +8,8 @@ from itertools import pairwise
 from typing import Any
 
 from viskill_deploy.calibrate.deployment import (
-    CONDITIONS,
+    CALIBRATED,
+    UNCALIBRATED,
     Deployment,
     Trial,
     by_robot,
@@ -31,7 +32,8 @@ INTRODUCTION = """# A policy on hidden robots, before and after calibration
 **All of this is simulated.** The paper ran waypoints that were planned in simulation on one real
 dVRK: {wins} of {trials} trials of BiPegTransfer were done. Here the same is tried on {robots}
 simulated robots that are not as their files say ([calibration.md](calibration.md#hidden-robots)):
-bases, joint zeros, shafts, cables, board, and where the block is seen, each drawn from a seed.
+bases, joint zeros, shafts, cables, board, and where the block is seen, each drawn from a
+seed{part}.
 Every trial goes through line and gate, stepped, at {rate} Hz. Calibration knows what {samples}
 points an arm of a simulated tracker tell. A success here says nothing about a real dVRK; it says
 what the errors above do to a policy, and what calibration does about them.
@@ -58,7 +60,8 @@ def figures(what: Deployment, trials: Sequence[Trial]) -> dict[str, Any]:
     """What the trials came to, ready for JSON."""
     paper = {"successes": PAPER[0], "trials": PAPER[1], "interval": interval(*PAPER)}
     conditions = {}
-    for condition in CONDITIONS:
+    tried = {trial.condition for trial in trials} | set(what.conditions)
+    for condition in (c for c in (*UNCALIBRATED, *CALIBRATED) if c in tried):
         mine = of_condition(trials, condition)
         rates = [_rate(part) for part in by_robot(mine)]
         stopped = sum(bool(trial.stopped_by or trial.refused) for trial in mine)
@@ -85,23 +88,28 @@ def page(what: Deployment, trials: Sequence[Trial], command: str) -> str:
             trials=PAPER[1],
             robots=robots,
             samples=what.samples,
+            part="" if what.scale == 1.0 else f" and then taken times {what.scale:g}",
             rate=what.title()["rate_hz"],
             command=command,
         ),
         _main_table(found),
-        "## Calibrated, by how far off the block is seen\n",
-        _binned(trials, "seen off", "mm", OFF_MM, lambda t: 1e3 * t.seen_off_m),
-        "## Calibrated, by how much it seems turned\n",
-        _binned(
+    ]
+    if any(trial.condition in CALIBRATED for trial in trials):
+        turned = _binned(
             trials,
             "seen turned",
             "deg",
             TURNED_DEG,
             lambda t: math.degrees(abs(t.seen_turned_rad)),
-        ),
-        "## Calibrated, by where it lay\n",
-        _placed(trials),
-    ]
+        )
+        parts += [
+            "## Calibrated, by how far off the block is seen\n",
+            _binned(trials, "seen off", "mm", OFF_MM, lambda t: 1e3 * t.seen_off_m),
+            "## Calibrated, by how much it seems turned\n",
+            turned,
+            "## Calibrated, by where it lay\n",
+            _placed(trials),
+        ]
     return "\n".join(parts)
 
 
@@ -146,14 +154,14 @@ def _binned(
     for low, high in pairwise(edges):
         name = f"{low:g} to {high:g} {unit}" if math.isfinite(high) else f"from {low:g} {unit}"
         rows.append(_row(name, [t for t in trials if low <= value(t) < high]))
-    return table([what, *CONDITIONS[1:]], rows)
+    return table([what, *CALIBRATED], rows)
 
 
 def _placed(trials: Sequence[Trial]) -> str:
     """Success by the place where the block lay, to the millimetre."""
     places = sorted({_place(trial) for trial in trials})
     rows = [_row(f"({x}, {y}) mm", [t for t in trials if _place(t) == (x, y)]) for x, y in places]
-    return table(["block at", *CONDITIONS[1:]], rows)
+    return table(["block at", *CALIBRATED], rows)
 
 
 def _place(trial: Trial) -> tuple[int, int]:
@@ -163,7 +171,7 @@ def _place(trial: Trial) -> tuple[int, int]:
 
 def _row(name: str, trials: Sequence[Trial]) -> list[str]:
     cells = []
-    for condition in CONDITIONS[1:]:
+    for condition in CALIBRATED:
         mine = of_condition(trials, condition)
         wins = sum(trial.success for trial in mine)
         cells.append(

@@ -127,6 +127,19 @@ def draw_robot(cell: CellDescription, seed: int) -> TruthFile:
     return TruthFile.model_validate(content)
 
 
+def scaled(truth: TruthFile, part: float) -> TruthFile:
+    """A robot with this part of another one's errors, noises and delays."""
+
+    def times(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: times(each) for key, each in value.items()}
+        if isinstance(value, list):
+            return [times(each) for each in value]
+        return part * value if isinstance(value, float) else value
+
+    return TruthFile.model_validate(times(truth.model_dump(mode="json", by_alias=True)))
+
+
 def draw_truth(rng: np.random.Generator) -> ArmErrors:
     """What one arm might really be.
 

@@ -22,7 +22,7 @@ from viskill_deploy.calibrate.parameters import NAMES
 from viskill_deploy.calibrate.port import port_of
 from viskill_deploy.calibrate.study import WAYS, Study, Trial, figures
 from viskill_deploy.calibrate.trial_lines import add_line, read_lines
-from viskill_deploy.calibrate.truths import draw_robot
+from viskill_deploy.calibrate.truths import draw_robot, scaled
 from viskill_deploy.cli import collect, measure_scene
 from viskill_deploy.cli.poses_found import port_facts, port_words, pose_facts, pose_words
 from viskill_deploy.cli.touching import TOUCHES
@@ -60,10 +60,14 @@ def truth_command(
     seed: Annotated[int, typer.Argument(min=0, help="What the robot's errors are drawn from.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The file to write.")],
     cell: CELL = "bipegtransfer",
+    scale: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Its errors, as a part of the usual.")
+    ] = 1.0,
 ) -> None:
     """Write a hidden robot to a file, to be looked at, changed, and named with --truth."""
     output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(draw_robot(load_cell(cell), seed).text(), encoding="utf-8")
+    robot = scaled(draw_robot(load_cell(cell), seed), scale)
+    output.write_text(robot.text(), encoding="utf-8")
     print(output)
 
 

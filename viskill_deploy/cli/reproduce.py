@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
 from viskill_deploy.core.errors import MissingExtraError
 from viskill_deploy.runtime.preflight import find_bundle
+
+if TYPE_CHECKING:
+    from viskill_deploy.calibrate.deployment import Deployment
 
 EXAMPLE = "Example: viskill reproduce docs/results -o docs/reproduction.md"
 
@@ -42,6 +46,12 @@ def command(
         int, typer.Option(min=8, help="Rows of measurements an arm to calibrate a robot with.")
     ] = 120,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first hidden robot.")] = 100,
+    scale: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Errors of the robots, as a part of the usual.")
+    ] = 1.0,
+    uncalibrated: Annotated[
+        bool, typer.Option("--uncalibrated", help="Calibrate nothing: plan and closed loop alone.")
+    ] = False,
     processes: Annotated[int, typer.Option(min=1, help="That share the trials.")] = 1,
     json_: Annotated[
         bool, typer.Option("--json", help="Print the figures of --deployment as one JSON object.")
@@ -52,7 +62,12 @@ def command(
     With --deployment, run its trials on a robot instead, on simulated ones.
     """
     if deployment:
-        _deploy(results, output, bundle, (robots, trials, samples, seed), processes, json_)
+        from viskill_deploy.calibrate import deployment as job  # noqa: PLC0415 - slow to load
+
+        what = job.Deployment(find_bundle(bundle), robots, trials, samples, seed, scale)
+        if uncalibrated:
+            what = replace(what, conditions=job.UNCALIBRATED)
+        _deploy(what, results, output, processes, json_)
         return
     try:
         from viskill_deploy.train.reproduce import reproduce  # noqa: PLC0415 - torch is an extra
@@ -63,18 +78,12 @@ def command(
 
 
 def _deploy(
-    folder: Path,
-    output: Path | None,
-    bundle: Path,
-    numbers: tuple[int, int, int, int],
-    processes: int,
-    as_json: bool,
+    what: Deployment, folder: Path, output: Path | None, processes: int, as_json: bool
 ) -> None:
     from viskill_deploy.calibrate.deployment import Deployment, run  # noqa: PLC0415 - slow to load
     from viskill_deploy.calibrate.deployment_page import figures, page  # noqa: PLC0415
 
     console = Console(stderr=True)
-    what = Deployment(find_bundle(bundle), *numbers)
 
     def tell(note: str) -> None:
         console.print(note, highlight=False, markup=False, soft_wrap=True)
@@ -82,10 +91,11 @@ def _deploy(
     trials = run(what, folder, processes, tell)
     if output is not None:
         command = f"viskill reproduce {folder} --deployment -o {output}"
-        options = zip(
-            ("robots", "trials", "samples", "seed"), numbers, (20, 20, 120, 100), strict=True
-        )
-        command += "".join(f" --{name} {n}" for name, n, usual in options if n != usual)
+        usual = Deployment(what.bundle)
+        for name in ("robots", "trials", "samples", "seed", "scale"):
+            if getattr(what, name) != getattr(usual, name):
+                command += f" --{name} {getattr(what, name):g}"
+        command += " --uncalibrated" if what.conditions != usual.conditions else ""
         output.parent.mkdir(parents=True, exist_ok=True)
         output.write_text(page(what, trials, command), encoding="utf-8")
     if as_json:

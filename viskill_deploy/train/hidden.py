@@ -7,13 +7,9 @@ what else no tip position tells apart from it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import numpy as np
-
-from viskill_deploy.calibrate.truths import draw_robot
-from viskill_deploy.core.arm_errors import ArmErrors
-from viskill_deploy.core.cables import Cables
+from viskill_deploy.calibrate.truths import draw_robot, scaled
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.sim.world import WorldOptions
 
@@ -46,38 +42,11 @@ def hidden_robots(
 
 
 def _robot(cell: CellDescription, seed: int, scale: float) -> WorldOptions:
-    truth = draw_robot(cell, seed)
+    truth = scaled(draw_robot(cell, seed), scale)
     return WorldOptions(
-        truth=tuple(scaled(errors, scale) for errors in truth.errors(cell)),
-        board_translation_m=_three(truth.board_translation_m, scale),
-        board_rotation_rad=_three(truth.board_rotation_rad, scale),
-        object_error_m=_three(truth.object_error_m, scale),
-        object_error_rad=scale * truth.object_error_rad,
+        truth=truth.errors(cell),
+        board_translation_m=truth.board_translation_m,
+        board_rotation_rad=truth.board_rotation_rad,
+        object_error_m=truth.object_error_m,
+        object_error_rad=truth.object_error_rad,
     )
-
-
-def scaled(errors: ArmErrors, scale: float) -> ArmErrors:
-    """A part of an arm's errors."""
-    cables = errors.cables
-    return replace(
-        errors,
-        base_rotation_rad=_times(errors.base_rotation_rad, scale),
-        base_translation_m=_times(errors.base_translation_m, scale),
-        joint_offset=_times(errors.joint_offset, scale),
-        tool_length_m=scale * errors.tool_length_m,
-        point_m=scale * errors.point_m,
-        cables=Cables(
-            _times(cables.backlash_rad, scale),
-            tuple(_times(row, scale) for row in cables.coupling),
-        ),
-        delay_s=scale * errors.delay_s,
-    )
-
-
-def _times(values: tuple[float, ...], scale: float) -> tuple[float, ...]:
-    return tuple((scale * np.array(values)).tolist())
-
-
-def _three(values: tuple[float, float, float], scale: float) -> tuple[float, float, float]:
-    x, y, z = values
-    return scale * x, scale * y, scale * z

@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 from viskill_deploy.calibrate import deployment
 from viskill_deploy.calibrate.deployment import (
-    CONDITIONS,
     TRIALS,
+    UNCALIBRATED,
     Condition,
     Deployment,
     Trial,
@@ -82,11 +82,11 @@ def test_only_what_is_not_there_yet_is_run(tmp_path: Path) -> None:
     write_calibration(tmp_path / "robot-100.json", exact_calibration(cell, truth))
     read_trials(tmp_path / TRIALS, WHAT)
     with (tmp_path / TRIALS).open("a") as file:
-        for condition in CONDITIONS[:2]:
+        for condition in WHAT.conditions[:2]:
             file.write(json.dumps(asdict(trial(condition))) + "\n")
     told: list[str] = []
     trials = run(WHAT, tmp_path, tell=told.append)
-    assert [t.condition for t in trials] == list(CONDITIONS)
+    assert [t.condition for t in trials] == list(WHAT.conditions)
     assert trials[2].success
     assert 0.0 < trials[2].seen_off_m < 0.003
     assert told == [
@@ -109,9 +109,30 @@ def test_a_robot_that_cannot_be_calibrated_is_told_and_counts_as_refused(
     monkeypatch.setattr(deployment, "_measure", measure)
     read_trials(tmp_path / TRIALS, WHAT)
     with (tmp_path / TRIALS).open("a") as file:
-        file.write(json.dumps(asdict(trial(CONDITIONS[0]))) + "\n")
+        file.write(json.dumps(asdict(trial(UNCALIBRATED[0]))) + "\n")
     told: list[str] = []
     _, *calibrated = run(WHAT, tmp_path, tell=told.append)
     assert told[0] == "robot 100 is not calibrated: the gate stepped in (S17)"
     assert [t.refused for t in calibrated] == [deployment.NOT_CALIBRATED] * 2
     assert not any(t.success for t in calibrated)
+
+
+def test_robots_may_be_a_part_of_as_wrong_and_stay_uncalibrated(tmp_path: Path) -> None:
+    what = replace(WHAT, scale=0.25, conditions=UNCALIBRATED)
+    read_trials(tmp_path / TRIALS, what)
+    with (tmp_path / TRIALS).open("a") as file:
+        file.write(json.dumps(asdict(trial(UNCALIBRATED[0], False))) + "\n")
+    told: list[str] = []
+    trials = run(what, tmp_path, tell=told.append)
+    assert [t.condition for t in trials] == list(UNCALIBRATED)
+    assert len(told) == 1, "nothing is calibrated"
+    assert 0.0 < trials[1].seen_off_m < 0.0008
+    arguments = ["reproduce", str(tmp_path), "--deployment", "--robots", "1", "--trials", "1"]
+    arguments += ["--scale", "0.25", "--uncalibrated", "-o", str(tmp_path / "page.md")]
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 0, done.output
+    text = (tmp_path / "page.md").read_text()
+    assert "--robots 1 --trials 1 --scale 0.25 --uncalibrated`" in text
+    assert "seed and then taken times 0.25." in text
+    assert f"| simulated, uncalibrated closed-loop | 1 | {trials[1].success:d} of 1 |" in text
+    assert "calibrated plan" not in text.replace("uncalibrated plan", "")

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from pydantic import TypeAdapter
+from typer.testing import CliRunner
 
-from viskill_deploy.calibrate.truths import draw_robot, draw_truth, hidden_robot
+from viskill_deploy.calibrate.truths import draw_robot, draw_truth, hidden_robot, scaled
+from viskill_deploy.cli.main import app
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import DataFileError
 from viskill_deploy.core.truth_files import read_truth
@@ -43,6 +45,19 @@ def test_the_arms_of_a_drawn_robot_have_all_errors_that_a_study_draws_and_a_long
     assert arms[0].cables == studied.cables
     assert arms[0].tool_length_m != 0.0
     assert arms[0] != arms[1]
+
+
+def test_a_robot_may_be_a_part_of_as_wrong(tmp_path: Path) -> None:
+    path = tmp_path / "robot.json"
+    arguments = ["calibrate", "truth", "3", "-o", str(path), "--scale", "0.25"]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    whole, part = draw_robot(CELL, 3), read_truth(path, CELL)
+    for one, other in zip(whole.errors(CELL), part.errors(CELL), strict=True):
+        np.testing.assert_allclose(other.joint_offset, 0.25 * np.array(one.joint_offset))
+        np.testing.assert_allclose(other.cables.coupling, 0.25 * np.array(one.cables.coupling))
+        assert other.delay_s == 0.25 * one.delay_s
+    assert part.object_error_rad == 0.25 * whole.object_error_rad
+    assert scaled(whole, 1.0) == whole
 
 
 def test_a_robots_world_has_its_errors_and_what_else_was_asked_for() -> None:
