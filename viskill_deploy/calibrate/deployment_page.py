@@ -33,10 +33,9 @@ INTRODUCTION = """# A policy on hidden robots, before and after calibration
 dVRK: {wins} of {trials} trials of BiPegTransfer were done. Here the same is tried on {robots}
 simulated robots that are not as their files say ([calibration.md](calibration.md#hidden-robots)):
 bases, joint zeros, shafts, cables, board, and where the block is seen, each drawn from a
-seed{part}.
-Every trial goes through line and gate, stepped, at {rate} Hz. Calibration knows what {samples}
-points an arm of a simulated tracker tell. A success here says nothing about a real dVRK; it says
-what the errors above do to a policy, and what calibration does about them.
+seed{part}. Every trial goes through line and gate, stepped, at {rate} Hz.{calibration} A success
+here says nothing about a real dVRK; it says what the errors above do to a policy, and what
+calibration does about them.
 
 Intervals are Wilson's, 95 %. Trials on one robot are more alike than trials on several, so
 intervals over all robots are narrower than they should be; the spread between robots stands beside
@@ -81,20 +80,22 @@ def figures(what: Deployment, trials: Sequence[Trial]) -> dict[str, Any]:
 def page(what: Deployment, trials: Sequence[Trial], command: str) -> str:
     """The whole page as Markdown."""
     robots = len({trial.robot for trial in trials})
+    is_calibrated = any(trial.condition in CALIBRATED for trial in trials)
+    samples = f" Calibration knows what {what.samples} points\nan arm of a simulated tracker tell."
     found = figures(what, trials)
     parts = [
         INTRODUCTION.format(
             wins=PAPER[0],
             trials=PAPER[1],
             robots=robots,
-            samples=what.samples,
+            calibration=samples if is_calibrated else "",
             part="" if what.scale == 1.0 else f" and then taken times {what.scale:g}",
             rate=what.title()["rate_hz"],
             command=command,
         ),
         _main_table(found),
     ]
-    if any(trial.condition in CALIBRATED for trial in trials):
+    if is_calibrated:
         turned = _binned(
             trials,
             "seen turned",
