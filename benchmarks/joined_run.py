@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from viskill_deploy.calibrate.truths import HiddenRobot, hidden_robot
+from viskill_deploy.calibrate.truths import MARKER_M, HiddenRobot, hidden_robot
 from viskill_deploy.core.data import find
 from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.types import Scene
@@ -177,7 +177,7 @@ def collected(bench: Bench, samples: int, speed: float, kill: bool) -> dict[str,
     points, cell = bench.folder / "points", str(bench.folder / "lab.toml")
     book = points / "PSM1.csv"
     command = ["calibrate", "collect", str(points), "--robot", cell, "--samples", str(samples)]
-    command += [*bench.network, "--speed", str(speed), "--yes"]
+    command += ["--point", str(MARKER_M), *bench.network, "--speed", str(speed), "--yes"]
     found: dict[str, Any] = {"starts": 0}
     if kill:
         bench.run(*command, kill=str(book))

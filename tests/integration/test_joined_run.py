@@ -18,7 +18,7 @@ from viskill_deploy.calibrate.fit import fit_arm
 from viskill_deploy.calibrate.measurements import load
 from viskill_deploy.calibrate.programme import choose_poses
 from viskill_deploy.calibrate.topic_tips import TopicTips
-from viskill_deploy.calibrate.truths import hidden_robot
+from viskill_deploy.calibrate.truths import MARKER_M, hidden_robot
 from viskill_deploy.cli import collect as collect_command
 from viskill_deploy.cli.main import app
 from viskill_deploy.core.calibration_files import write_calibration
@@ -71,7 +71,7 @@ class Tips(TopicTips):
 
 def _collect(folder: Path, looks: int = 10**9) -> tuple[dict[str, Path], Person]:
     driver, person = _robot(), Person()
-    tips = Tips(driver.node, {name: tip_topic(name) for name in ARMS})
+    tips = Tips(driver.node, {name: tip_topic(name) for name in ARMS}, MARKER_M)
     tips.left = looks
     poses = np.stack([choose_poses(CELL, arm, POSES, 0) for arm in range(2)], axis=1)
     consent = PersonsConsent(driver, person.tell)

@@ -12,7 +12,8 @@ from untrained import write_untrained
 from viskill_deploy.bundle.format import load_bundle
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import CellState, JointSetpoint, Request
-from viskill_deploy.runtime.dry_run import DryRunOptions, Mode, dry_run
+from viskill_deploy.runtime.dry_run import DryRunOptions, dry_run
+from viskill_deploy.runtime.episodes import Mode
 from viskill_deploy.runtime.preflight import Prepared
 from viskill_deploy.safety.envelope import CellEnvelope
 from viskill_deploy.sim.tasks import load_task

@@ -20,6 +20,7 @@ class Book:
         path: the file; what it holds is kept.
         programme: says how the poses were chosen.
         arm: what is measured.
+        point_m: how far beyond the jaw pivot, along the tip, the points are.
 
     Raises:
         CalibrationError: it holds another programme's measurements, or another arm's.
@@ -30,8 +31,9 @@ class Book:
         unseen: at how many of the last ones, running, nothing was seen.
     """
 
-    def __init__(self, path: Path, programme: str, arm: CellArm) -> None:
+    def __init__(self, path: Path, programme: str, arm: CellArm, point_m: float) -> None:
         title = f"# programme: {programme}\n{measurements.arm_line(arm)}"
+        title += f"{measurements.POINT_KEY} {point_m!r}\n"
         self.done = self.visited = self.unseen = 0
         if path.exists():
             self.done, self.visited = _resume(path, title)

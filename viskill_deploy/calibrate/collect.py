@@ -64,7 +64,14 @@ LOT = 8
 
 
 class PointSource(Protocol):
-    """Something that sees the tips: a tracker, a simulator, a person with a ruler."""
+    """Something that sees the tips: a tracker, a simulator, a person with a ruler.
+
+    Attributes:
+        point_m: how far beyond the jaw pivot, along the tip, what it sees is. At 0 it cannot tell
+            how a wrist is turned about its last joint.
+    """
+
+    point_m: float
 
     def look(self, now: float) -> None:
         """Called in every control period, for sources that have to keep up."""
@@ -125,7 +132,7 @@ def collect(
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = {arm.name: folder / f"{arm.name}.csv" for arm in session.cell.arms}
-    books = [Book(files[arm.name], programme, arm) for arm in session.cell.arms]
+    books = [Book(files[arm.name], programme, arm, source.point_m) for arm in session.cell.arms]
     result = EpisodeResult(0)
 
     def look() -> Callable[[], list[_Visits]]:

@@ -32,8 +32,8 @@ from viskill_deploy.core.errors import CalibrationError, KinematicsError, Motion
 from viskill_deploy.core.types import Scene
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.runtime.boundaries import Job
-from viskill_deploy.runtime.dry_run import LAYOUTS, Mode
-from viskill_deploy.runtime.episodes import closed_loop, planned
+from viskill_deploy.runtime.dry_run import LAYOUTS
+from viskill_deploy.runtime.episodes import Mode, from_start_pose
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.preflight import Prepared, prepare
@@ -279,8 +279,7 @@ def _episode(
     training = prepared.bundle.manifest.training_range.seen
     with Session(prepared.cell, driver, line, NoRecord(), training) as session:
         try:
-            play = planned if mode == "plan" else closed_loop
-            return play(session, Job(prepared.bundle, prepared.task, 1), rng, 0)
+            return from_start_pose(session, mode, Job(prepared.bundle, prepared.task, 1), rng, 0)
         except (MotionError, KinematicsError, SafetyStop) as error:  # before anything moved
             session.settle()
             return EpisodeResult(0, refused=str(error))

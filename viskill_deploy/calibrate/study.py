@@ -30,7 +30,7 @@ from viskill_deploy.calibrate.parameters import (
 from viskill_deploy.calibrate.programme import choose_poses
 from viskill_deploy.calibrate.simulated_hand import HandOptions, SimulatedHand
 from viskill_deploy.calibrate.touching import touch
-from viskill_deploy.calibrate.truths import ENCODER_M, ENCODER_RAD, draw_truth
+from viskill_deploy.calibrate.truths import ENCODER_M, ENCODER_RAD, MARKER_M, draw_truth
 from viskill_deploy.core.arm_errors import ArmErrors, rotation
 from viskill_deploy.core.description import CellArm, CellDescription
 from viskill_deploy.core.types import FloatArray
@@ -164,7 +164,8 @@ class Study:
         driver.connect()
         task = load_task(cell.name)
         driver.reset(task.sample_layout(rng, task.distributions[0]))
-        options = TrackerOptions(delay_s=tuple(errors.delay_s for errors in truth))
+        delays = tuple(errors.delay_s for errors in truth)
+        options = TrackerOptions(delay_s=delays, point_m=MARKER_M)
         tracker = SimulatedTracker(driver.world, options, dice)
         with (
             record(driver.period_s) as recorder,

@@ -20,10 +20,13 @@ class TopicTips:
     Args:
         transport: a node; the one who opened it closes it.
         topics: topic of every arm.
+        point_m: how far beyond the jaw pivot, along the tip, what the tracker sees is.
     """
 
-    def __init__(self, transport: Transport, topics: Mapping[str, str]) -> None:
-        self._topics = dict(topics)
+    def __init__(
+        self, transport: Transport, topics: Mapping[str, str], point_m: float = 0.0
+    ) -> None:
+        self._topics, self.point_m = dict(topics), point_m
         self._poses = TopicPoses(transport, topics, dict.fromkeys(topics, 0.0))
 
     def insist(self) -> None:

@@ -52,6 +52,10 @@ COMMAND_S = 0.008
 
 OUTLIER_SHARE = 0.05
 
+MARKER_M = 0.010
+"""What the tracker sees, beyond the jaw pivot: a ball that the closed jaw holds. A marker at the
+pivot does not tell how the jaw is turned about it, which costs grasps."""
+
 
 @dataclass(frozen=True, slots=True)
 class HiddenRobot:
@@ -85,7 +89,13 @@ class HiddenRobot:
         """The tracker that sees its tips."""
         truth = self.truth
         delays = tuple(errors.delay_s for errors in truth.errors(cell))
-        return TrackerOptions(truth.tracker_noise_m, truth.outlier_share, truth.outlier_m, delays)
+        return TrackerOptions(
+            truth.tracker_noise_m,
+            truth.outlier_share,
+            truth.outlier_m,
+            delays,
+            truth.tracker_point_m,
+        )
 
 
 def hidden_robot(text: str, cell: CellDescription) -> HiddenRobot:
@@ -122,13 +132,14 @@ def draw_robot(cell: CellDescription, seed: int) -> TruthFile:
         "object_error_rad": OBJECT_RAD,
         "object_noise_m": LOOK_M,
         "tracker_noise_m": LOOK_M,
+        "tracker_point_m": MARKER_M,
         "outlier_share": OUTLIER_SHARE,
     }
     return TruthFile.model_validate(content)
 
 
 def scaled(truth: TruthFile, part: float) -> TruthFile:
-    """A robot with this part of another one's errors, noises and delays."""
+    """A robot with this part of another one's errors, noises and delays; its marker stays."""
 
     def times(value: Any) -> Any:
         if isinstance(value, dict):
@@ -137,7 +148,8 @@ def scaled(truth: TruthFile, part: float) -> TruthFile:
             return [times(each) for each in value]
         return part * value if isinstance(value, float) else value
 
-    return TruthFile.model_validate(times(truth.model_dump(mode="json", by_alias=True)))
+    content = times(truth.model_dump(mode="json", by_alias=True))
+    return TruthFile.model_validate(content | {"tracker_point_m": truth.tracker_point_m})
 
 
 def draw_truth(rng: np.random.Generator) -> ArmErrors:

@@ -101,6 +101,14 @@ def command(
         typer.Option(min=0.05, max=1.0, help="Part of full speed: 0.25, or 1 on the loopback."),
     ] = None,
     yes: Yes = False,
+    point: Annotated[
+        float | None,
+        typer.Option(
+            min=0,
+            help="From the jaw pivot to what the tracker sees, along the tip, m: 0 on a robot, "
+            "the truth's on the loopback, unless you say so.",
+        ),
+    ] = None,
     truth: Truth = "",
     noise: Annotated[
         float | None,
@@ -145,7 +153,7 @@ def command(
     programme = f"cell {described.name}, {count} poses, seed {seed}, "
     if driver is RobotChoice.LOOPBACK:
         insist_simulated(described)
-        loopback, seen = _hidden(described, truth, noise, outliers, seed)
+        loopback, seen = _hidden(described, truth, (noise, outliers, point), seed)
         line = Line(described, loopback.period_s, speed=speed or 1.0)
         programme += f"truth {truth or None}"
         found = _collect(described, loopback, seen, line, poses, folder, programme, console)
@@ -159,7 +167,7 @@ def command(
         try:
             robot.node = robot.node or open_transport(options.transport, network)
             arms = [arm.name for arm in described.arms]
-            tips = TopicTips(robot.node, topics_of(tracker, arms))
+            tips = TopicTips(robot.node, topics_of(tracker, arms), point or 0.0)
             tips.insist()
             terminal = Terminal(console)
             _agree(described, robot.driver, terminal, console, yes)
@@ -188,17 +196,22 @@ def _show(found: dict[str, Any], as_json: bool) -> None:
 
 
 def _hidden(
-    cell: CellDescription, truth: str, noise: float | None, outliers: float | None, seed: int
+    cell: CellDescription,
+    truth: str,
+    wished: tuple[float | None, float | None, float | None],
+    seed: int,
 ) -> tuple[LoopbackDriver, SimulatedTracker]:
-    """The loopback as a hidden robot, and its tracker."""
+    """The loopback as a hidden robot, and its tracker; noise, outliers and point as wished."""
     world, seen = WorldOptions(), TrackerOptions()
     if truth:
         hidden = hidden_robot(truth, cell)
         world, seen = hidden.world(cell, world), hidden.tracker(cell)
+    noise, share, point = wished
     seen = replace(
         seen,
         noise_m=seen.noise_m if noise is None else noise,
-        outlier_share=seen.outlier_share if outliers is None else outliers,
+        outlier_share=seen.outlier_share if share is None else share,
+        point_m=seen.point_m if point is None else point,
     )
     driver = LoopbackDriver(cell, world, seed)
     driver.connect()

@@ -152,13 +152,15 @@ def _told(
     where = "this machine only" if interface == LOOPBACK else interface or "all interfaces"
     power = "/system" if options.version == "2.4" else "/console"
     tips = ", ".join(tip_topic(arm.name) for arm in front.cell.world.cell.arms)
+    marker = options.tracker.point_m if options.tracker else 0.0
+    beyond = f", {1e3 * marker:g} mm beyond the jaw pivots (--point {marker:g})" if marker else ""
     hidden = f"robot:   hidden, truth {truth}\n" if truth else ""
     return (
         f"simulated dVRK {options.version} over {transport}, on {where}\n"
         f"arms:    {', '.join('/' + arm for arm in front.arms)}, at {options.rate_hz:g} Hz\n"
         f"console: {power}/power_on, power_off, home; /console/emulate_operator_present\n"
         f"things:  {things} (no dVRK has these)\n"
-        f"tracker: {tips}\n"
+        f"tracker: {tips}{beyond}\n"
         f"{hidden}"
         f"type {OPERATOR}\n"
         "stop with Ctrl-C"

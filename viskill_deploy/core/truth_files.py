@@ -38,6 +38,7 @@ class TruthFile(Table):
         object_error_rad: the same of a turn about the vertical.
         object_noise_m: standard deviation of a coordinate of a thing from one look to the next.
         tracker_noise_m: standard deviation of a coordinate of a tip that a tracker sees.
+        tracker_point_m: how far beyond the jaw pivot, along the tip, what the tracker sees is.
         outlier_share: part of those points that are wrong by centimetres.
         outlier_m: standard deviation of a coordinate of these.
     """
@@ -54,6 +55,7 @@ class TruthFile(Table):
     object_error_rad: NonNegative = 0.0
     object_noise_m: NonNegative = 0.0
     tracker_noise_m: NonNegative = 0.0
+    tracker_point_m: NonNegative = 0.0
     outlier_share: Part = 0.0
     outlier_m: NonNegative = 0.02
 

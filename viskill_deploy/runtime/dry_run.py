@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from viskill_deploy.core.types import ObservationRange, Scene
 from viskill_deploy.runtime.boundaries import Job
 from viskill_deploy.runtime.consent import NodesConsent
 from viskill_deploy.runtime.driving import DriverName, simulated_driver, with_inputs
-from viskill_deploy.runtime.episodes import closed_loop, planned
+from viskill_deploy.runtime.episodes import Mode, from_start_pose
 from viskill_deploy.runtime.fault_injection import FaultInjector
 from viskill_deploy.runtime.faults import Injection
 from viskill_deploy.runtime.figures import Outcome, on_the_way, run_figures
@@ -35,8 +35,6 @@ from viskill_deploy.sim.world import WorldOptions
 
 LAYOUTS = 2**29
 """First number of the seeds of layouts: training never uses it."""
-
-Mode = Literal["closed-loop", "plan"]
 
 
 @dataclass(frozen=True)
@@ -143,12 +141,9 @@ def _episode(
     try:
         if isinstance(prepared, PreparedTrajectory):
             result = followed(session, prepared.waypoints, episode)
-        elif options.mode == "plan":
-            job = Job(prepared.bundle, prepared.task, options.retries)
-            result = planned(session, job, rng, episode)
         else:
             job = Job(prepared.bundle, prepared.task, options.retries)
-            result = closed_loop(session, job, rng, episode)
+            result = from_start_pose(session, options.mode, job, rng, episode)
     except (MotionError, KinematicsError, SafetyStop) as error:  # before anything moved
         session.settle()
         result = EpisodeResult(episode, refused=str(error))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
@@ -21,12 +22,14 @@ from viskill_deploy.core.types import (
 from viskill_deploy.motion.plan import Part
 from viskill_deploy.motion.resolve import waypoint_at
 from viskill_deploy.motion.waypoints import apply_action
+from viskill_deploy.runtime.approach import approach
 from viskill_deploy.runtime.attempts import Attempts
 from viskill_deploy.runtime.boundaries import Boundaries, Job, Stops, held_now
 from viskill_deploy.runtime.jaws import measure_empty_jaws
 from viskill_deploy.runtime.ledger import EpisodeResult, SkillResult
 from viskill_deploy.runtime.line import Coming
 from viskill_deploy.runtime.moves import arrive, axes_of, go_to_start_pose, run_motion
+from viskill_deploy.runtime.operator import Operator
 from viskill_deploy.runtime.planning import Plan
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.runtime.stopping_places import may_go_on
@@ -47,6 +50,28 @@ class _Seen:
     scene: Scene
     tips: list[FloatArray]
     observation: FloatArray
+
+
+Mode = Literal["closed-loop", "plan"]
+
+
+def from_start_pose(
+    session: Session,
+    mode: Mode,
+    job: Job,
+    rng: np.random.Generator,
+    episode: int,
+    operator: Operator | None = None,
+) -> EpisodeResult:
+    """Takes the arms to their start pose, where policies have learned to begin, and goes on.
+
+    Arms that were homed by their own joints are beside it once they are calibrated.
+    """
+    result = EpisodeResult(episode)
+    session.make_ready()
+    if not approach(session, result, operator):
+        return result
+    return (planned if mode == "plan" else closed_loop)(session, job, rng, episode)
 
 
 def closed_loop(

@@ -24,12 +24,11 @@ from viskill_deploy.core.errors import (
 from viskill_deploy.core.types import CellState, Scene
 from viskill_deploy.drivers.base import Driver
 from viskill_deploy.runtime.air import lifted
-from viskill_deploy.runtime.approach import approach
 from viskill_deploy.runtime.boundaries import Job, Stops
 from viskill_deploy.runtime.checklist import Checklist, Found
 from viskill_deploy.runtime.consent import PersonsConsent
-from viskill_deploy.runtime.dry_run import LAYOUTS, Mode
-from viskill_deploy.runtime.episodes import closed_loop, planned
+from viskill_deploy.runtime.dry_run import LAYOUTS
+from viskill_deploy.runtime.episodes import Mode, from_start_pose
 from viskill_deploy.runtime.figures import Outcome, on_the_way, run_figures
 from viskill_deploy.runtime.interrupting import go_on, interruptible
 from viskill_deploy.runtime.ledger import EpisodeResult
@@ -177,11 +176,8 @@ def _run(session: Session, prepared: Prepared, options: ExecuteOptions, operator
     """Switches on, approaches, runs and retreats; what came of it is in the ledger."""
     began, result = session.driver.clock.now(), EpisodeResult(0)
     try:
-        session.make_ready()
-        if approach(session, result, operator):
-            rng = np.random.default_rng([LAYOUTS, options.seed])
-            run = planned if options.mode == "plan" else closed_loop
-            result = run(session, _job(prepared, options, operator), rng, 0)
+        rng, job = np.random.default_rng([LAYOUTS, options.seed]), _job(prepared, options, operator)
+        result = from_start_pose(session, options.mode, job, rng, 0, operator)
     except (MotionError, KinematicsError, SafetyStop) as error:  # where nothing was to move yet
         session.settle()
         result.refused = str(error)

@@ -20,12 +20,14 @@ class TrackerOptions:
         outlier_share: part of the points that are wrong by centimetres.
         outlier_m: standard deviation of a coordinate of those.
         delay_s: how old a point is when it gets its stamp, for each arm.
+        point_m: how far beyond the jaw pivot, along the tip, what it sees is.
     """
 
     noise_m: float = 0.0002
     outlier_share: float = 0.05
     outlier_m: float = 0.02
     delay_s: tuple[float, ...] = ()
+    point_m: float = 0.0
 
 
 class SimulatedTracker:
@@ -35,10 +37,13 @@ class SimulatedTracker:
         world: the world.
         options: what is wrong with it.
         seed: of noise and outliers.
+
+    Attributes:
+        point_m: see `TrackerOptions`.
     """
 
     def __init__(self, world: World, options: TrackerOptions, seed: int = 0) -> None:
-        self._world, self._options = world, options
+        self._world, self._options, self.point_m = world, options, options.point_m
         self._rng = np.random.default_rng([seed, 7])
         self._names = [arm.name for arm in world.cell.arms]
         delays = options.delay_s or (0.0,) * len(self._names)
@@ -47,7 +52,7 @@ class SimulatedTracker:
 
     def look(self, now: float) -> None:
         """Remembers where the tips are now; call it in every control period."""
-        self._past.append((now, self._world.tips()))
+        self._past.append((now, self._world.tips(self.point_m)))
 
     def points(self, now: float) -> dict[str, tuple[float, FloatArray]]:
         """What it says now, and the stamp that it puts on it: now, however old it is; m."""

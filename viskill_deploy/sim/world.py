@@ -226,11 +226,16 @@ class World:
         axes = self.imperfections.measured(arm, q[:-1]).tolist()
         return ArmReading(tuple(axes[:-1]), tuple(v[:-2]), axes[-1], v[-2] + v[-1])
 
-    def tips(self) -> FloatArray:
-        """Where the tips really are now, task frame, (arms, 3) m."""
+    def tips(self, beyond_m: float = 0.0) -> FloatArray:
+        """Where the tips really are now, task frame, (arms, 3) m.
+
+        Args:
+            beyond_m: points this far beyond the jaw pivots, along the tips' z, instead.
+        """
         mujoco.mj_kinematics(self.model, self.data)  # a step leaves poses of before it
-        tips = np.array([self.data.site(f"{arm.name}/tip").xpos for arm in self.cell.arms])
-        return self.seeing.points(tips)
+        sites = [self.data.site(f"{arm.name}/tip") for arm in self.cell.arms]
+        tips = [site.xpos + beyond_m * site.xmat.reshape(3, 3)[:, 2] for site in sites]
+        return self.seeing.points(np.array(tips))
 
     def scene(self) -> Scene:
         """Where the things are, as a camera would tell, with noise and error where asked for."""

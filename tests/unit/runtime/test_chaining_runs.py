@@ -8,7 +8,8 @@ import pytest
 from chaining import VALUES, chain_graph, replace_file, resign, value_graph
 
 from viskill_deploy.core.types import Boundary, SkillStart
-from viskill_deploy.runtime.dry_run import DryRunOptions, Mode, dry_run
+from viskill_deploy.runtime.dry_run import DryRunOptions, dry_run
+from viskill_deploy.runtime.episodes import Mode
 from viskill_deploy.runtime.figures import Outcome
 from viskill_deploy.runtime.preflight import prepare
 

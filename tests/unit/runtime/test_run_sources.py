@@ -15,7 +15,8 @@ from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.types import Scene
 from viskill_deploy.drivers.loopback_served import ServedLoopback
 from viskill_deploy.motion.links import CellLinks
-from viskill_deploy.runtime.dry_run import DryRunOptions, Mode, dry_run, layout_of
+from viskill_deploy.runtime.dry_run import DryRunOptions, dry_run, layout_of
+from viskill_deploy.runtime.episodes import Mode
 from viskill_deploy.runtime.preflight import Sources, prepare
 from viskill_deploy.sim.world import WorldOptions
 
