@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -78,6 +79,20 @@ def test_what_is_measured_is_where_the_arms_are(tmp_path: Path) -> None:
         np.testing.assert_allclose(m.points, there, atol=2e-5)
         assert set(np.unique(m.turns)) <= {-1.0, 0.0, 1.0}
         assert (m.turns[1:] != 0.0).mean() > 0.9
+
+
+def test_a_marker_beyond_the_jaw_pivot_is_measured_and_said_so(tmp_path: Path) -> None:
+    truth = (ArmErrors(joint_offset=(0.0, 0.0, 0.0, 0.0, 0.0, 0.05)), ArmErrors())
+    found = _collect(tmp_path, truth=truth, options=replace(CLEAN, point_m=0.01))
+    really = with_errors(CELL, {"PSM1": truth[0]})
+    m = load(found.files["PSM1"])
+    assert m.point_m == 0.01
+    T = task_poses(really, 0, m.joints)
+    there = T[:, :3, 3] + 0.01 * T[:, :3, 2]
+    np.testing.assert_allclose(m.points, there, atol=3e-5)
+    by_file = task_poses(CELL, 0, m.joints)
+    off = np.linalg.norm(by_file[:, :3, 3] + 0.01 * by_file[:, :3, 2] - m.points, axis=1)
+    assert off.min() > 3e-4, "it shows how the jaw is turned about its pivot"
 
 
 def test_the_delay_of_a_tracker_shows_on_the_move_alone(tmp_path: Path) -> None:
