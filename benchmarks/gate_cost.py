@@ -28,7 +28,7 @@ from viskill_deploy.core.types import CellState, Request
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.observe.recording import Recorder
 from viskill_deploy.runtime.boundaries import Job
-from viskill_deploy.runtime.episodes import closed_loop
+from viskill_deploy.runtime.episodes import from_start_pose
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.preflight import Prepared, prepare
 from viskill_deploy.runtime.session import Session
@@ -71,7 +71,7 @@ def in_run(prepared: Prepared, number: int) -> tuple[Timed, Timed, Timed, float]
         check, cycle = Timed(session.gate.check, keep=True), Timed(session.cycle)
         advance = Timed(driver.advance)
         session.gate.check, session.cycle, driver.advance = check, cycle, advance  # type: ignore[method-assign]
-        closed_loop(session, Job(prepared.bundle, prepared.task), rng, 0)
+        from_start_pose(session, "closed-loop", Job(prepared.bundle, prepared.task), rng, 0)
     return check, cycle, advance, driver.period_s
 
 

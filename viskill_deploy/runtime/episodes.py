@@ -63,9 +63,9 @@ def from_start_pose(
     episode: int,
     operator: Operator | None = None,
 ) -> EpisodeResult:
-    """Takes the arms to their start pose, where policies have learned to begin, and goes on.
+    """Makes the arms ready and takes them to their start pose, where policies learned to begin.
 
-    Arms that were homed by their own joints are beside it once they are calibrated.
+    Arms that stand where their file has the start pose are beside it once they are calibrated.
     """
     result = EpisodeResult(episode)
     session.make_ready()
@@ -77,9 +77,8 @@ def from_start_pose(
 def closed_loop(
     session: Session, job: Job, rng: np.random.Generator, episode: int
 ) -> EpisodeResult:
-    """Runs the skills in turn, asking the policy at every step."""
+    """Runs the skills in turn, asking the policy at every step; the arms are ready."""
     task, result = job.task, EpisodeResult(episode)
-    session.make_ready()
     if not measure_empty_jaws(session, result):
         return result
     session.begin()
@@ -208,9 +207,11 @@ def _note_step(
 
 
 def planned(session: Session, job: Job, rng: np.random.Generator, episode: int) -> EpisodeResult:
-    """Makes the whole plan in a simulator, checks it, and only then streams it, skill by skill."""
+    """Makes the whole plan in a simulator, checks it, and only then streams it, skill by skill.
+
+    The arms are ready.
+    """
     result = EpisodeResult(episode)
-    session.make_ready()
     if job.has_things and not measure_empty_jaws(session, result):
         return result
     attempts, scene = Attempts(session, job, rng), session.scene()

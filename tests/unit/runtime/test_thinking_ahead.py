@@ -11,7 +11,7 @@ from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.runtime import session as session_module
 from viskill_deploy.runtime import thinking
 from viskill_deploy.runtime.boundaries import Job
-from viskill_deploy.runtime.episodes import LEAD_S, closed_loop
+from viskill_deploy.runtime.episodes import LEAD_S, from_start_pose
 from viskill_deploy.runtime.line import Coming, Line
 from viskill_deploy.runtime.preflight import prepare
 from viskill_deploy.runtime.session import Session
@@ -73,7 +73,7 @@ def test_every_step_of_a_skill_but_its_first_is_planned_while_the_arms_go_on(
     monkeypatch.setattr(Coming, "plan", noted)
     with session:
         job = Job(prepared.bundle, prepared.task)
-        result = closed_loop(session, job, np.random.default_rng(0), 0)
+        result = from_start_pose(session, "closed-loop", job, np.random.default_rng(0), 0)
     assert result.success
     assert session.overruns == 0
     steps = [skill.steps for skill in result.skills]
