@@ -25,7 +25,7 @@ import numpy as np
 from viskill_deploy.core.types import Boundary, FloatArray, JointSetpoint, Scene
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.runtime.boundaries import Job
-from viskill_deploy.runtime.episodes import closed_loop, planned
+from viskill_deploy.runtime.episodes import from_start_pose
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.preflight import Prepared, prepare
@@ -112,8 +112,7 @@ def run(
     training = prepared.bundle.manifest.training_range.seen
     with Session(cell, driver, Line(cell, driver.period_s), witness, training) as session:
         job = Job(prepared.bundle, task, retries)
-        episode = planned if mode == "plan" else closed_loop
-        result = episode(session, job, np.random.default_rng(seed), 0)
+        result = from_start_pose(session, mode, job, np.random.default_rng(seed), 0)
         session.ledger.end_episode(result)
     return result, witness
 

@@ -10,7 +10,7 @@ import numpy as np
 from viskill_deploy.core.types import Boundary, FloatArray, Scene
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.runtime.boundaries import Job
-from viskill_deploy.runtime.episodes import closed_loop, planned
+from viskill_deploy.runtime.episodes import from_start_pose
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.line import Line
 from viskill_deploy.runtime.session import Session
@@ -63,8 +63,8 @@ def knocked(
     driver.when = when
     training = job.bundle.manifest.training_range.seen
     with Session(cell, driver, Line(cell, driver.period_s), notes, training) as session:
-        run = planned if is_planned else closed_loop
-        result = run(session, job, np.random.default_rng(0), 0)
+        mode, dice = "plan" if is_planned else "closed-loop", np.random.default_rng(0)
+        result = from_start_pose(session, mode, job, dice, 0)
         session.ledger.end_episode(result)
         return result, notes, session
 
