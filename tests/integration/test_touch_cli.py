@@ -312,6 +312,13 @@ def test_a_robot_that_cannot_be_calibrated_is_named_and_does_not_end_a_study(
     assert "truth 0" in RUN.invoke(app, [*study, "--truths", "2"]).stdout
 
 
+def test_a_touch_has_no_point_but_the_jaws_end(tmp_path: Path) -> None:
+    collect = ["calibrate", "collect", str(tmp_path / "points"), "--source", "touch"]
+    done = RUN.invoke(app, [*collect, "--point", "0.01"])
+    assert done.exit_code == 2
+    assert "--point is the tracker's" in done.output
+
+
 @pytest.mark.parametrize("source", ["touch", "tracker"])
 def test_simulated_arms_do_not_stand_in_for_real_ones(source: str, tmp_path: Path) -> None:
     path = tmp_path / "lab.toml"

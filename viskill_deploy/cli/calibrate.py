@@ -200,12 +200,12 @@ def study_command(
                 done = study.truth(number, lambda path, period: Recorder(path, described, period))
                 row: dict[str, Any] = {w: [trial.row() for trial in t] for w, t in done.items()}
             except (CalibrationError, MotionError, SafetyStop) as error:
-                row = {"failed": [str(error)]}
+                row = {"failed": str(error)}
             rows.append(row)
             if output is not None:
                 add_line(output, row)
             bar.update(shown, completed=len(rows))
-    failed = [f"truth {n}: {row['failed'][0]}" for n, row in enumerate(rows) if "failed" in row]
+    failed = [f"truth {n}: {row['failed']}" for n, row in enumerate(rows) if "failed" in row]
     whole = [row for row in rows if "failed" not in row]
     if not whole:
         raise CalibrationError(f"no robot was calibrated: {'; '.join(failed)}")

@@ -135,6 +135,8 @@ def command(
     if source is Source.TOUCH:
         if driver is RobotChoice.CAN:
             raise typer.BadParameter("--source touch listens to the loopback or to CRTK")
+        if point is not None:
+            raise typer.BadParameter("--point is the tracker's; a jaw's end touches")
         who = TouchedBy(
             TouchedRobot(driver.value),
             transport.value,

@@ -5,8 +5,8 @@ import pytest
 
 from viskill_deploy.calibrate.error_model import ErrorModel
 from viskill_deploy.calibrate.measurements import Measurements
-from viskill_deploy.calibrate.parameters import NAMES, USUAL
-from viskill_deploy.calibrate.programme import choose_poses, free_box
+from viskill_deploy.calibrate.parameters import NAMES, USUAL, vector_of
+from viskill_deploy.calibrate.programme import CLEAR_M, choose_poses, free_box
 from viskill_deploy.calibrate.truths import INSERTION_M, draw_truth
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import CalibrationError
@@ -36,6 +36,19 @@ def test_poses_lie_in_the_free_part_of_the_workspace(name: str, index: int) -> N
     assert (q < arm.arm.limit(1)).all()
     assert (q[:, 2] > arm.arm.insertion_min_m).all()
     assert len(np.unique(q, axis=0)) == 25
+
+
+def test_arms_that_nobody_has_calibrated_keep_clear_of_what_stands_on_the_board() -> None:
+    cell, rng, count = load_cell("bipegtransfer"), np.random.default_rng(0), 50
+    model, q = ErrorModel(cell.arms[0]), choose_poses(cell, 0, count, seed=0)
+    lower = []
+    for _ in range(400):
+        turns = rng.choice([-1.0, 1.0], (count, 3))
+        rows = Measurements(np.arange(50.0), q, np.zeros((count, 6)), turns, np.zeros((count, 3)))
+        true = model.points(vector_of(draw_truth(rng)), rows)
+        lower.append(float((model.points(np.zeros(len(NAMES)), rows) - true)[:, 2].max()))
+    assert np.quantile(lower, 0.99) < CLEAR_M
+    assert np.quantile(lower, 0.99) > 0.5 * CLEAR_M, "they are wrong by as much as that"
 
 
 def test_the_same_seed_gives_the_same_programme() -> None:
