@@ -49,6 +49,11 @@ class ErrorModel:
         """The measured point of every row, task frame, (n, 3) m."""
         return self._evaluate(vector, measured, with_jacobian=False)[0]
 
+    def rotations(self, vector: FloatArray, measured: Measurements) -> FloatArray:
+        """How the tip frame is turned in the task frame in every row, (n, 3, 3)."""
+        R = self._T[:3, :3] @ pin.exp3(vector[BASE_ROTATION])
+        return np.array([R @ self._placed(q).rotation for q in self.joints(vector, measured)])
+
     def linearised(
         self, vector: FloatArray, measured: Measurements
     ) -> tuple[FloatArray, FloatArray]:
@@ -71,8 +76,7 @@ class ErrorModel:
         along = measured.point_m + vector[POINT]
         right = np.array(pin.Jexp3(vector[BASE_ROTATION])) if with_jacobian else np.eye(3)
         for i, q in enumerate(self.joints(vector, measured)):
-            pin.forwardKinematics(self._model, self._data, q)
-            tip = pin.updateFramePlacement(self._model, self._data, self._tip)
+            tip = self._placed(q)
             z = tip.rotation[:, 2]
             p = tip.translation + along * z
             points[i] = R @ p + origin
@@ -94,3 +98,8 @@ class ErrorModel:
             ).reshape(3, 9)
             block[:, DELAY] = -J @ measured.speeds[i]
         return points, jacobian
+
+    def _placed(self, q: FloatArray) -> pin.SE3:
+        """The tip frame in the arm's base frame."""
+        pin.forwardKinematics(self._model, self._data, q)
+        return pin.updateFramePlacement(self._model, self._data, self._tip)

@@ -62,6 +62,7 @@ class Trial:
         sigma: standard deviations, NaN where frozen, (27,).
         tip_errors_m: distances of the calibrated from the true tip at `HELD_OUT` poses.
         before_m: the same of the arm as its file has it.
+        tip_turns_rad: angles between the calibrated and the true tip frame at these poses.
         samples: rows of measurements.
     """
 
@@ -70,6 +71,7 @@ class Trial:
     sigma: FloatArray
     tip_errors_m: FloatArray
     before_m: FloatArray
+    tip_turns_rad: FloatArray
     samples: int
 
     def row(self) -> dict[str, Any]:
@@ -85,7 +87,7 @@ class Trial:
         return cls(**numbers, samples=int(row["samples"]))
 
 
-_ARRAYS = ("truth", "found", "tip_errors_m", "before_m")
+_ARRAYS = ("truth", "found", "tip_errors_m", "before_m", "tip_turns_rad")
 
 
 def poses_for(samples: int) -> int:
@@ -191,12 +193,14 @@ def _trial(
 ) -> Trial:
     fit, model = fit_arm(arm, measured, seed), ErrorModel(arm)
     true = model.points(vector_of(truth), fresh)
+    R_true, R_found = (model.rotations(v, fresh) for v in (vector_of(truth), fit.vector))
     return Trial(
         vector_of(truth),
         fit.vector,
         fit.sigma,
         np.linalg.norm(model.points(fit.vector, fresh) - true, axis=1),
         np.linalg.norm(model.points(np.zeros(len(NAMES)), fresh) - true, axis=1),
+        np.array([_angle(*pair) for pair in zip(R_true, R_found, strict=True)]),
         len(fit.is_outlier),
     )
 
@@ -214,6 +218,7 @@ def figures(trials: Sequence[Trial]) -> dict[str, Any]:
     off = np.array([trial.found - trial.truth for trial in trials])
     spreads = {
         "tip_error": (np.concatenate([trial.tip_errors_m for trial in trials]), "m"),
+        "tip_turn": (np.degrees(np.concatenate([trial.tip_turns_rad for trial in trials])), "deg"),
         "uncalibrated_tip_error": (np.concatenate([trial.before_m for trial in trials]), "m"),
         "insertion_offset_error": (np.abs(off[:, INSERTION]), "m"),
         "base_shift_error": (np.linalg.norm(off[:, BASE_TRANSLATION], axis=1), "m"),
@@ -240,4 +245,8 @@ def _scores(trial: Trial) -> FloatArray:
 def _turn_error(trial: Trial) -> float:
     """Angle between the fitted and the true base, degrees."""
     found, true = (rotation(tuple(v[BASE_ROTATION])) for v in (trial.found, trial.truth))
-    return math.degrees(float(np.linalg.norm(pin.log3(found.T @ true))))
+    return math.degrees(_angle(true, found))
+
+
+def _angle(R_true: FloatArray, R_found: FloatArray) -> float:
+    return float(np.linalg.norm(pin.log3(R_found.T @ R_true)))

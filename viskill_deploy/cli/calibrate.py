@@ -22,7 +22,7 @@ from viskill_deploy.calibrate.parameters import NAMES
 from viskill_deploy.calibrate.port import port_of
 from viskill_deploy.calibrate.study import WAYS, Study, Trial, figures
 from viskill_deploy.calibrate.trial_lines import add_line, read_lines
-from viskill_deploy.calibrate.truths import draw_robot, scaled
+from viskill_deploy.calibrate.truths import MARKER_M, draw_robot, scaled
 from viskill_deploy.cli import collect, measure_scene
 from viskill_deploy.cli.poses_found import port_facts, port_words, pose_facts, pose_words
 from viskill_deploy.cli.touching import TOUCHES
@@ -191,6 +191,7 @@ def study_command(
     ways = WAYS if only is None else (only.value,)
     study = Study(described, seed, samples, points, ways)
     title: dict[str, Any] = {"cell": cell, "seed": seed, "samples": samples, "points": points}
+    title |= {"marker_m": MARKER_M} if WAYS[0] in ways else {}
     title |= {} if only is None else {"only": only.value}
     rows = [] if output is None else read_lines(output, title)
     with Progress(console=Console(stderr=True)) as bar:

@@ -52,6 +52,15 @@ def test_the_model_follows_the_definitions() -> None:
     )
 
 
+def test_a_point_further_out_lies_along_the_turned_tip() -> None:
+    rng = np.random.default_rng(2)
+    m, model, vector = poses(20, rng), ErrorModel(ARM), rng.normal(0, 1, 27) * USUAL
+    pivot, beyond = (model.points(vector, replace(m, point_m=along)) for along in (0.0, 0.01))
+    R = model.rotations(vector, m)
+    np.testing.assert_allclose(R[:, :, 2], (beyond - pivot) / 0.01, atol=1e-9)
+    np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.tile(np.eye(3), (20, 1, 1)), atol=1e-12)
+
+
 def test_the_jacobian_is_the_central_difference() -> None:
     rng = np.random.default_rng(1)
     m, model = poses(10, rng), ErrorModel(ARM)
