@@ -25,6 +25,7 @@ from viskill_deploy.calibrate.programme import choose_poses
 from viskill_deploy.calibrate.study import CALIBRATING, poses_for
 from viskill_deploy.calibrate.trial_lines import add_line, read_lines
 from viskill_deploy.calibrate.truths import HiddenRobot, hidden_robot, scaled
+from viskill_deploy.core.arm_errors import with_errors
 from viskill_deploy.core.calibration_files import calibrated, read_calibration, write_calibration
 from viskill_deploy.core.clock import MonotonicClock
 from viskill_deploy.core.description import CellDescription
@@ -50,10 +51,18 @@ PERIOD_S = CALIBRATING.period_s
 NOT_CALIBRATED = "this robot could not be calibrated"
 
 Condition = Literal[
-    "uncalibrated plan", "uncalibrated closed-loop", "calibrated plan", "calibrated closed-loop"
+    "uncalibrated plan",
+    "uncalibrated closed-loop",
+    "calibrated plan",
+    "calibrated closed-loop",
+    "exactly known arms, closed-loop",
 ]
 UNCALIBRATED: tuple[Condition, ...] = ("uncalibrated plan", "uncalibrated closed-loop")
 CALIBRATED: tuple[Condition, ...] = ("calibrated plan", "calibrated closed-loop")
+EXACT: Condition = "exactly known arms, closed-loop"
+"""As a calibration without error would have it: what is left is where things are seen."""
+
+CONDITIONS: tuple[Condition, ...] = (UNCALIBRATED[0], *CALIBRATED, EXACT)
 
 
 @dataclass(frozen=True)
@@ -76,7 +85,7 @@ class Deployment:
     samples: int = 120
     seed: int = 100
     scale: float = 1.0
-    conditions: tuple[Condition, ...] = ("uncalibrated plan", *CALIBRATED)
+    conditions: tuple[Condition, ...] = CONDITIONS
 
     def title(self) -> dict[str, Any]:
         """What two files of trials have to have in common to be one."""
@@ -239,12 +248,17 @@ def _try(what: Deployment, folder: Path, robot: int, number: int, condition: Con
     """One trial."""
     prepared = _prepared(what.bundle)
     layout = _layout(prepared, robot, number)
-    world = _robot(what, prepared.cell, robot).world(prepared.cell, WorldOptions(period_s=PERIOD_S))
+    hidden = _robot(what, prepared.cell, robot)
+    world = hidden.world(prepared.cell, WorldOptions(period_s=PERIOD_S))
     file, needs_calibration = _file_of(folder, robot), condition in CALIBRATED
     is_ready = file.exists() or not needs_calibration
+    cell = prepared.cell
     if needs_calibration and is_ready:
-        cell = calibrated(prepared.cell, read_calibration(file), file)
-        prepared = replace(prepared, cell=cell, task=load_task(prepared.task.name, cell))
+        cell = calibrated(cell, read_calibration(file), file)
+    elif condition == EXACT:
+        errors = zip((arm.name for arm in cell.arms), hidden.truth.errors(cell), strict=True)
+        cell = replace(with_errors(cell, dict(errors)), filed=cell)
+    prepared = replace(prepared, cell=cell, task=load_task(prepared.task.name, cell))
     mode: Mode = "closed-loop" if condition.endswith("closed-loop") else "plan"
     clock = MonotonicClock()
     began = clock.now()

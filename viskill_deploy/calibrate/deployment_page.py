@@ -9,6 +9,7 @@ from typing import Any
 
 from viskill_deploy.calibrate.deployment import (
     CALIBRATED,
+    EXACT,
     UNCALIBRATED,
     Deployment,
     Trial,
@@ -44,6 +45,10 @@ them.
 This page is built by `{command}`.
 """
 
+KNOWN = """Arms that are known exactly are what a calibration without error would give: what such a
+trial misses is owed to where the block is seen, and to the policy.
+"""
+
 
 def interval(wins: int, trials: int) -> tuple[float, float]:
     """95 % interval of a success rate. Source: Wilson 1927, without continuity correction."""
@@ -60,7 +65,7 @@ def figures(what: Deployment, trials: Sequence[Trial]) -> dict[str, Any]:
     paper = {"successes": PAPER[0], "trials": PAPER[1], "interval": interval(*PAPER)}
     conditions = {}
     tried = {trial.condition for trial in trials} | set(what.conditions)
-    for condition in (c for c in (*UNCALIBRATED, *CALIBRATED) if c in tried):
+    for condition in (c for c in (*UNCALIBRATED, *CALIBRATED, EXACT) if c in tried):
         mine = of_condition(trials, condition)
         rates = [_rate(part) for part in by_robot(mine)]
         stopped = sum(bool(trial.stopped_by or trial.refused) for trial in mine)
@@ -95,6 +100,8 @@ def page(what: Deployment, trials: Sequence[Trial], command: str) -> str:
         ),
         _main_table(found),
     ]
+    if EXACT in found["conditions"]:
+        parts.append(KNOWN)
     if is_calibrated:
         turned = _binned(
             trials,

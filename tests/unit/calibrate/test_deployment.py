@@ -10,6 +10,8 @@ from typer.testing import CliRunner
 
 from viskill_deploy.calibrate import deployment
 from viskill_deploy.calibrate.deployment import (
+    CALIBRATED,
+    EXACT,
     TRIALS,
     UNCALIBRATED,
     Condition,
@@ -52,6 +54,7 @@ def test_figures_tell_conditions_and_robots_apart() -> None:
     assert (part["worst_robot"], part["best_robot"]) == (0.5, 1.0)
     assert found["conditions"]["uncalibrated plan"]["stopped"] == 1
     assert found["conditions"]["calibrated closed-loop"]["trials"] == 0
+    assert found["conditions"][EXACT]["trials"] == 0
 
 
 def test_the_page_says_that_it_is_simulated_and_puts_every_trial_in_its_rows() -> None:
@@ -92,7 +95,10 @@ def test_only_what_is_not_there_yet_is_run(tmp_path: Path) -> None:
     assert told == [
         "robot 100 is calibrated",
         "robot 100, trial 0, calibrated closed-loop: done",
+        "robot 100, trial 0, exactly known arms, closed-loop: done",
     ]
+    by_file, known = (replace(trial, condition=EXACT, seconds=0.0) for trial in trials[2:])
+    assert known == by_file, "the calibration that was written here is exact"
     arguments = ["reproduce", str(tmp_path), "--deployment", "--robots", "1", "--trials", "1"]
     done = CliRunner().invoke(app, [*arguments, "--json", "-o", str(tmp_path / "page.md")])
     assert done.exit_code == 0, done.output
@@ -107,11 +113,12 @@ def test_a_robot_that_cannot_be_calibrated_is_told_and_counts_as_refused(
         raise SafetyStop("the gate stepped in (S17)")
 
     monkeypatch.setattr(deployment, "_measure", measure)
-    read_trials(tmp_path / TRIALS, WHAT)
+    what = replace(WHAT, conditions=(UNCALIBRATED[0], *CALIBRATED))
+    read_trials(tmp_path / TRIALS, what)
     with (tmp_path / TRIALS).open("a") as file:
         file.write(json.dumps(asdict(trial(UNCALIBRATED[0]))) + "\n")
     told: list[str] = []
-    _, *calibrated = run(WHAT, tmp_path, tell=told.append)
+    _, *calibrated = run(what, tmp_path, tell=told.append)
     assert told[0] == "robot 100 is not calibrated: the gate stepped in (S17)"
     assert [t.refused for t in calibrated] == [deployment.NOT_CALIBRATED] * 2
     assert not any(t.success for t in calibrated)
