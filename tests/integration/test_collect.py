@@ -74,7 +74,7 @@ def test_what_is_measured_is_where_the_arms_are(tmp_path: Path) -> None:
         m = load(path)
         is_moving = m.speeds.any(axis=1)
         assert (~is_moving).sum() == COUNT
-        assert is_moving.sum() == 4
+        assert is_moving.sum() == 5
         there = task_poses(really, index, m.joints)[:, :3, 3]
         np.testing.assert_allclose(m.points, there, atol=2e-5)
         assert set(np.unique(m.turns)) <= {-1.0, 0.0, 1.0}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from viskill_deploy.calibrate.measurements import Measurements
@@ -26,7 +28,8 @@ def rotation(vector: FloatArray) -> FloatArray:
 
 def true_points(arm: CellArm, errors: ArmErrors, m: Measurements) -> FloatArray:
     """Where the point is, by the definitions in `ArmErrors`, (n, 3)."""
-    q = m.joints + np.array(errors.joint_offset) - errors.delay_s * m.speeds
+    d = errors.delay_s
+    q = m.joints + np.array(errors.joint_offset) - d * m.speeds + d * d / 2 * m.accelerations
     q[:, 2] += errors.tool_length_m
     q[:, 3:] += m.joints[:, 3:] @ np.array(errors.cables.coupling).T
     q[:, 3:] -= m.turns * np.array(errors.cables.backlash_rad)
@@ -42,17 +45,19 @@ def poses(n: int, rng: np.random.Generator, moving: float = 0.2) -> Measurements
     high = np.array([0.5, 0.4, 0.2, 1.5, 0.9, 0.9])
     speeds = rng.normal(0.0, [0.3, 0.3, 0.03, 0.5, 0.5, 0.5], (n, 6))
     speeds[rng.random(n) >= moving] = 0.0
+    accelerations = np.where(speeds, rng.normal(0.0, [1.0, 1.0, 0.1, 2.0, 2.0, 2.0], (n, 6)), 0.0)
     return Measurements(
         np.arange(float(n)),
         rng.uniform(low, high, (n, 6)),
         speeds,
         rng.choice([-1.0, 1.0], (n, 3)),
         np.zeros((n, 3)),
+        accelerations=accelerations,
     )
 
 
 def with_points(m: Measurements, points: FloatArray) -> Measurements:
-    return Measurements(m.stamps, m.joints, m.speeds, m.turns, points, m.point_m)
+    return replace(m, points=points)
 
 
 def measured(

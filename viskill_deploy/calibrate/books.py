@@ -76,12 +76,13 @@ def _resume(path: Path, title: str) -> tuple[int, int]:
         CalibrationError: it was written by another programme, or for another arm.
     """
     text = path.read_text(encoding="utf-8")
+    title += measurements.header()
     if not text.startswith(title):
         raise CalibrationError(
             f"{path}: holds measurements of another programme or arm; name another folder"
         )
     ends = list(re.finditer(r"^# pose (\d+) (done|given up)\n", text, re.MULTILINE))
-    kept = text[: ends[-1].end()] if ends else title + measurements.header()
+    kept = text[: ends[-1].end()] if ends else title
     if kept != text:  # a file that stays as it is keeps its date, which is that of the calibration
         path.write_text(kept, encoding="utf-8")
     visited = sum(end.group(2) == "done" for end in ends)

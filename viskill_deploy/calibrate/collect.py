@@ -31,8 +31,8 @@ from viskill_deploy.runtime.session import Session
 REST_STEPS = 2
 """Policy steps that the arms rest at a pose before it is measured: 0.4 s."""
 
-MOVING_EVERY = 3
-"""A third of the poses, those with the fastest ways, are also measured on the way to them: only
+MOVING_EVERY = 2
+"""Half of the poses, those with the fastest ways, are also measured on the way to them: only
 moving joints show a delay."""
 
 LOOKS = 12
@@ -47,6 +47,9 @@ behind it beyond its jerk limit."""
 
 STALE_S = 0.15
 """A point that was seen longer ago is none: the arms were elsewhere."""
+
+SLOPE_S = 0.04
+"""Over so long a time an acceleration is taken: a tracker's delays are of this size."""
 
 PAST = 60
 """Control periods that are looked back on: more than `STALE_S`."""
@@ -324,19 +327,35 @@ def _measure(
         seen_s, point = points.get(past[-1].arms[index].name, (-math.inf, np.zeros(3)))
         row = None
         if now - seen_s <= STALE_S and np.isfinite(point).all():
-            jp, jv = _joints_at(past, index, seen_s)
-            speeds = jv if is_moving else np.zeros(6)
+            jp, jv, ja = _joints_at(past, index, seen_s)
+            if not is_moving:
+                jv, ja = np.zeros(6), np.zeros(6)
             row = Measurements(
-                np.array([seen_s]), jp[None], speeds[None], turn[None], np.asarray(point)[None]
+                np.array([seen_s]),
+                jp[None],
+                jv[None],
+                turn[None],
+                np.asarray(point)[None],
+                accelerations=ja[None],
             )
         book.write(pose, is_moving, row)
 
 
-def _joints_at(past: Sequence[CellState], arm: int, time: float) -> tuple[FloatArray, FloatArray]:
-    """An arm's joints and their speeds, (6,) each, at a time among those of its last states."""
+def _joints_at(
+    past: Sequence[CellState], arm: int, time: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """An arm's joints, speeds and accelerations, (6,) each, at a time among its last states'.
+
+    The acceleration is how the speed has changed in `SLOPE_S` until then.
+    """
     times = [state.arms[arm].stamp_s for state in past]
     joints = np.array([state.arms[arm].measured_jp for state in past])
     speeds = np.array([state.arms[arm].measured_jv for state in past])
-    columns = range(joints.shape[1])
-    jp = np.array([np.interp(time, times, joints[:, column]) for column in columns])
-    return jp, np.array([np.interp(time, times, speeds[:, column]) for column in columns])
+
+    def at(when: float, values: FloatArray) -> FloatArray:
+        return np.array([np.interp(when, times, column) for column in values.T])
+
+    before = max(time - SLOPE_S, times[0])
+    now = at(time, speeds)
+    slope = (now - at(before, speeds)) / (time - before) if time > before else np.zeros(6)
+    return at(time, joints), now, slope

@@ -43,7 +43,9 @@ class ErrorModel:
         coupling = vector[COUPLING].reshape(3, 3)
         q[:, WRIST] -= measured.turns * vector[BACKLASH]
         q[:, WRIST] += measured.joints[:, WRIST] @ coupling.T
-        return np.asarray(q - vector[DELAY] * measured.speeds)
+        delay = vector[DELAY]
+        q += 0.5 * delay**2 * measured.accelerations - delay * measured.speeds
+        return np.asarray(q)
 
     def points(self, vector: FloatArray, measured: Measurements) -> FloatArray:
         """The measured point of every row, task frame, (n, 3) m."""
@@ -96,7 +98,7 @@ class ErrorModel:
             block[:, COUPLING] = np.einsum(
                 "aj,k->ajk", J[:, WRIST], measured.joints[i, WRIST]
             ).reshape(3, 9)
-            block[:, DELAY] = -J @ measured.speeds[i]
+            block[:, DELAY] = -J @ (measured.speeds[i] - vector[DELAY] * measured.accelerations[i])
         return points, jacobian
 
     def _placed(self, q: FloatArray) -> pin.SE3:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +15,20 @@ from viskill_deploy.core.types import FloatArray, frozen_array
 
 _JOINTS = ("q1_rad", "q2_rad", "q3_m", "q4_rad", "q5_rad", "q6_rad")
 _SPEEDS = ("v1_rad_s", "v2_rad_s", "v3_m_s", "v4_rad_s", "v5_rad_s", "v6_rad_s")
+_ACCELERATIONS = (
+    "a1_rad_s2",
+    "a2_rad_s2",
+    "a3_m_s2",
+    "a4_rad_s2",
+    "a5_rad_s2",
+    "a6_rad_s2",
+)
 _TURNS = ("turn4", "turn5", "turn6")
 _POINT = ("x_m", "y_m", "z_m")
 
-COLUMNS = ("stamp_s", *_JOINTS, *_SPEEDS, *_TURNS, *_POINT)
-"""Of the file. Speeds and turns may be left out: the delay, or the backlash, stays unknown then."""
+COLUMNS = ("stamp_s", *_JOINTS, *_SPEEDS, *_ACCELERATIONS, *_TURNS, *_POINT)
+"""Of the file. Speeds and turns may be left out: the delay, or the backlash, stays unknown then.
+Without accelerations the delay is known a little worse."""
 
 POINT_KEY = "# point_m:"
 """A comment of a file that begins so says how far from the jaw pivot its points are, m."""
@@ -34,6 +43,9 @@ SHALLOWEST = 1.0
 """Insertions above this, m, are in another unit."""
 
 
+_WIDTHS = {"joints": 6, "speeds": 6, "turns": 3, "points": 3, "accelerations": 6}
+
+
 @dataclass(frozen=True)
 class Measurements:
     """Points of one arm's tip as something else than its joints saw them.
@@ -45,6 +57,7 @@ class Measurements:
         turns: which way roll, wrist pitch and wrist yaw moved last, -1, 0 (not known) or 1, (n, 3).
         points: where the point was, task frame, (n, 3) m.
         point_m: stated distance of the point from the jaw pivot along the tip's z, m.
+        accelerations: of the joints, (n, 6), rad/s^2 and m/s^2; zeros where not given.
 
     Raises:
         CalibrationError: a number is not finite; names the row.
@@ -56,10 +69,13 @@ class Measurements:
     turns: FloatArray
     points: FloatArray
     point_m: float = 0.0
+    accelerations: FloatArray = field(default_factory=lambda: np.zeros((0, 6)))
 
     def __post_init__(self) -> None:
         n = len(self.stamps)
-        for name in ("stamps", "joints", "speeds", "turns", "points"):
+        if n and not len(self.accelerations):
+            object.__setattr__(self, "accelerations", np.zeros((n, 6)))
+        for name in ("stamps", *_WIDTHS):
             values = np.asarray(getattr(self, name), dtype=np.float64)
             bad = np.flatnonzero(~np.isfinite(values).all(axis=tuple(range(1, values.ndim))))
             if bad.size:
@@ -67,7 +83,7 @@ class Measurements:
                     f"row {bad[0] + 1} of {name} holds a number that is not finite "
                     f"({bad.size} such rows); take them out"
                 )
-        for name, width in (("joints", 6), ("speeds", 6), ("turns", 3), ("points", 3)):
+        for name, width in _WIDTHS.items():
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n, width), name))
         object.__setattr__(self, "stamps", frozen_array(self.stamps, (n,), "stamps"))
 
@@ -83,6 +99,7 @@ class Measurements:
             self.turns[rows],
             self.points[rows],
             self.point_m,
+            self.accelerations[rows],
         )
 
     def check(self) -> None:
@@ -152,8 +169,9 @@ def load(path: Path, point_m: float | None = None, arm: CellArm | None = None) -
     if point_m is None:
         point_m = _number(path, -1, POINT_KEY, stated.removeprefix(POINT_KEY))
     stamps = columns(("stamp_s",))[:, 0]
-    joints, speeds = columns(_JOINTS), columns(_SPEEDS)
-    return Measurements(stamps, joints, speeds, columns(_TURNS), columns(_POINT), point_m)
+    joints, speeds, accelerations = columns(_JOINTS), columns(_SPEEDS), columns(_ACCELERATIONS)
+    turns, points = columns(_TURNS), columns(_POINT)
+    return Measurements(stamps, joints, speeds, turns, points, point_m, accelerations)
 
 
 def header() -> str:
@@ -164,8 +182,9 @@ def header() -> str:
 def line(measurements: Measurements, row: int) -> str:
     """One row of a file, to the last bit."""
     m = measurements
-    values = (m.stamps[row], *m.joints[row], *m.speeds[row], *m.turns[row], *m.points[row])
-    return ",".join(repr(float(value)) for value in values) + "\n"
+    values = (m.joints, m.speeds, m.accelerations, m.turns, m.points)
+    numbers = (m.stamps[row], *(number for part in values for number in part[row]))
+    return ",".join(repr(float(number)) for number in numbers) + "\n"
 
 
 def save(measurements: Measurements, path: Path) -> None:
