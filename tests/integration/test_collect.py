@@ -11,7 +11,9 @@ from operators import Person
 from silent_recorder import SilentRecorder
 
 from viskill_deploy.calibrate.collect import Collected, collect
+from viskill_deploy.calibrate.error_model import ErrorModel
 from viskill_deploy.calibrate.measurements import load
+from viskill_deploy.calibrate.parameters import DELAY, NAMES
 from viskill_deploy.calibrate.programme import choose_poses
 from viskill_deploy.core.arm_errors import ArmErrors, with_errors
 from viskill_deploy.core.description import load_cell
@@ -102,6 +104,10 @@ def test_the_delay_of_a_tracker_shows_on_the_move_alone(tmp_path: Path) -> None:
     off = np.linalg.norm(m.points - task_poses(CELL, 0, m.joints)[:, :3, 3], axis=1)
     assert off[~is_moving].max() < 2e-5
     assert off[is_moving].min() > 2e-4
+    vector = np.zeros(len(NAMES))
+    vector[DELAY] = 0.03
+    late = ErrorModel(CELL.arms[0]).points(vector, m)
+    np.testing.assert_allclose(m.points, late, atol=3e-5)
 
 
 def test_a_collection_that_was_cut_off_goes_on_where_it_was(tmp_path: Path) -> None:

@@ -48,8 +48,11 @@ behind it beyond its jerk limit."""
 STALE_S = 0.15
 """A point that was seen longer ago is none: the arms were elsewhere."""
 
-SLOPE_S = 0.04
-"""Over so long a time an acceleration is taken: a tracker's delays are of this size."""
+PARABOLA_S = 0.06
+"""So long a part of a way is taken for a parabola: more than what a tracker's stamps are late."""
+
+FEWEST = 4
+"""States that a parabola needs; it has three numbers."""
 
 PAST = 60
 """Control periods that are looked back on: more than `STALE_S`."""
@@ -325,11 +328,11 @@ def _measure(
     points = source.points(now)
     for index, (book, turn) in enumerate(zip(books, turns, strict=True)):
         seen_s, point = points.get(past[-1].arms[index].name, (-math.inf, np.zeros(3)))
-        row = None
+        row = joints = None
         if now - seen_s <= STALE_S and np.isfinite(point).all():
-            jp, jv, ja = _joints_at(past, index, seen_s)
-            if not is_moving:
-                jv, ja = np.zeros(6), np.zeros(6)
+            joints = _moving_at(past, index, seen_s) if is_moving else _still_at(past, index)
+        if joints is not None:
+            jp, jv, ja = joints
             row = Measurements(
                 np.array([seen_s]),
                 jp[None],
@@ -341,21 +344,26 @@ def _measure(
         book.write(pose, is_moving, row)
 
 
-def _joints_at(
+def _still_at(past: Sequence[CellState], arm: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The joints of an arm at rest, and no speeds or accelerations, (6,) each."""
+    return np.array(past[-1].arms[arm].measured_jp), np.zeros(6), np.zeros(6)
+
+
+def _moving_at(
     past: Sequence[CellState], arm: int, time: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """An arm's joints, speeds and accelerations, (6,) each, at a time among its last states'.
 
-    The acceleration is how the speed has changed in `SLOPE_S` until then.
+    None where there are too few states before it.
+
+    They are those of the parabola through the positions of the last `PARABOLA_S`, which is also
+    what the fit takes for where the joints were a delay ago. Reported speeds are left alone: they
+    are those of a moment, and a servo that follows a staircase is slower at the end of each step.
     """
-    times = [state.arms[arm].stamp_s for state in past]
+    ages = np.array([state.arms[arm].stamp_s for state in past]) - time
     joints = np.array([state.arms[arm].measured_jp for state in past])
-    speeds = np.array([state.arms[arm].measured_jv for state in past])
-
-    def at(when: float, values: FloatArray) -> FloatArray:
-        return np.array([np.interp(when, times, column) for column in values.T])
-
-    before = max(time - SLOPE_S, times[0])
-    now = at(time, speeds)
-    slope = (now - at(before, speeds)) / (time - before) if time > before else np.zeros(6)
-    return at(time, joints), now, slope
+    near = (ages >= -PARABOLA_S) & (ages <= 1e-9)
+    if near.sum() < FEWEST:
+        return None
+    curve, speed, place = np.polyfit(ages[near], joints[near], 2)
+    return place, speed, 2.0 * curve
