@@ -48,6 +48,9 @@ from viskill_deploy.sim.world import WorldOptions
 BUNDLE = Path(__file__).parents[1] / "policies" / "bipegtransfer-viskill"
 PRESS, LET_GO, HELD = "press the consent pedal", "take your foot off", "resume?"
 MACHINE = "S20"
+ON_ITS_WAY_BYTES = 200_000
+"""What a recording holds after two seconds of motion."""
+
 LOOK_S, TRIES, STILL_RAD_S, STOPPED_S = 0.05, 30, 0.02, 2.0
 
 
@@ -64,12 +67,15 @@ class Bench:
     network: list[str]
     told: dict[str, int] = field(default_factory=lambda: {PRESS: 0, HELD: 0})
 
-    def run(self, *arguments: str, kill: str = "") -> subprocess.CompletedProcess[str]:
+    def run(
+        self, *arguments: str, kill: str = "", grown: int = 2000
+    ) -> subprocess.CompletedProcess[str]:
         """A `viskill` command, with somebody at pedal and terminal.
 
         Args:
             arguments: of the command.
             kill: SIGKILL once this file has grown since the start, or, as "1.5", after so many s.
+            grown: by how many bytes.
         """
         command = [sys.executable, "-m", "viskill_deploy.cli.main", *arguments]
         process = subprocess.Popen(
@@ -80,7 +86,7 @@ class Bench:
             text=True,
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
-        killer = threading.Thread(target=_kill, args=(process, kill), daemon=True)
+        killer = threading.Thread(target=_kill, args=(process, kill, grown), daemon=True)
         if kill:
             killer.start()
         lines = []
@@ -112,13 +118,13 @@ class Bench:
         return took
 
 
-def _kill(process: subprocess.Popen[str], when: str) -> None:
+def _kill(process: subprocess.Popen[str], when: str, grown: int) -> None:
     path = Path(when)
     size = path.stat().st_size if path.exists() else 0
     if re.fullmatch(r"[0-9.]+", when):
         time.sleep(float(when))
     else:
-        while process.poll() is None and not (path.exists() and path.stat().st_size > size + 2000):
+        while process.poll() is None and not (path.exists() and path.stat().st_size > size + grown):
             time.sleep(LOOK_S)
     process.send_signal(signal.SIGKILL)
 
@@ -245,7 +251,8 @@ def executed(bench: Bench, layout: Scene, speed: float, kill: bool) -> dict[str,
         while (output := folder / f"run-{number}").exists():
             number += 1
         bench.server.reset(layout)
-        return output, bench.run(*command, "--output", str(output), kill=kill).returncode
+        done = bench.run(*command, "--output", str(output), kill=kill, grown=ON_ITS_WAY_BYTES)
+        return output, done.returncode
 
     if kill:
         record = folder / f"run-{number}" / "recording" / "recording_0.mcap"
