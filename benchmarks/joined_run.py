@@ -60,12 +60,14 @@ class Bench:
 
     Attributes:
         told: how often a person was asked for the pedal, and whether to resume.
+        at_rest_s: how long the arms moved on after the last SIGKILL.
     """
 
     server: ServedLoopback
     folder: Path
     network: list[str]
     told: dict[str, int] = field(default_factory=lambda: {PRESS: 0, HELD: 0})
+    at_rest_s: float = 0.0
 
     def run(
         self, *arguments: str, kill: str = "", grown: int = 2000
@@ -86,7 +88,7 @@ class Bench:
             text=True,
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
-        killer = threading.Thread(target=_kill, args=(process, kill, grown), daemon=True)
+        killer = threading.Thread(target=self._kill, args=(process, kill, grown), daemon=True)
         if kill:
             killer.start()
         lines = []
@@ -105,8 +107,23 @@ class Bench:
                     process.stdin.write("\n")
                     process.stdin.flush()
         code = process.wait()
+        if kill:
+            killer.join()
         self.server.say(consent=False)
         return subprocess.CompletedProcess(command, code, "".join(lines), "")
+
+    def _kill(self, process: subprocess.Popen[str], when: str, grown: int) -> None:
+        path = Path(when)
+        size = path.stat().st_size if path.exists() else 0
+        if re.fullmatch(r"[0-9.]+", when):
+            time.sleep(float(when))
+        else:
+            while process.poll() is None and not (
+                path.exists() and path.stat().st_size > size + grown
+            ):
+                time.sleep(LOOK_S)
+        process.send_signal(signal.SIGKILL)
+        self.at_rest_s = self.stopped_s()
 
     def stopped_s(self) -> float:
         """How long the arms took to be at rest; more than `STOPPED_S` if they did not come to."""
@@ -116,17 +133,6 @@ class Bench:
                 break
             time.sleep(0.005)
         return took
-
-
-def _kill(process: subprocess.Popen[str], when: str, grown: int) -> None:
-    path = Path(when)
-    size = path.stat().st_size if path.exists() else 0
-    if re.fullmatch(r"[0-9.]+", when):
-        time.sleep(float(when))
-    else:
-        while process.poll() is None and not (path.exists() and path.stat().st_size > size + grown):
-            time.sleep(LOOK_S)
-    process.send_signal(signal.SIGKILL)
 
 
 def lab_cell(folder: Path) -> Path:
@@ -187,7 +193,7 @@ def collected(bench: Bench, samples: int, speed: float, kill: bool) -> dict[str,
     found: dict[str, Any] = {"starts": 0}
     if kill:
         bench.run(*command, kill=str(book))
-        found |= {"starts": 1, "killed_at_rest_s": bench.stopped_s()}
+        found |= {"starts": 1, "killed_at_rest_s": bench.at_rest_s}
         kept = book.read_text(encoding="utf-8")
         found["kept_rows"] = _rows(kept)
     last = ""
@@ -257,7 +263,7 @@ def executed(bench: Bench, layout: Scene, speed: float, kill: bool) -> dict[str,
     if kill:
         record = folder / f"run-{number}" / "recording" / "recording_0.mcap"
         output, _ = run(kill=str(record))
-        found["killed_at_rest_s"] = bench.stopped_s()
+        found["killed_at_rest_s"] = bench.at_rest_s
         found["killed_record_bytes"] = record.stat().st_size if record.exists() else 0
     for start in range(1, TRIES + 1):
         output, code = run()
