@@ -105,7 +105,8 @@ class Trial:
         seen_off_m: how far from there it was seen, in the plane.
         seen_turned_rad: by what it seemed turned.
         stopped_by: rule for which the gate stepped in; "" if it did not.
-        refused: why nothing was run; "" where it was.
+        refused: why nothing was run, or the policy's own value of a skill's start that was too low
+            to go on; "" otherwise.
     """
 
     robot: int
@@ -281,9 +282,17 @@ def _try(what: Deployment, folder: Path, robot: int, number: int, condition: Con
         float(np.hypot(off[0], off[1])),
         float(off[3]),
         result.stopped_by,
-        result.refused,
+        result.refused or _given_up(result),
         round(clock.now() - began, 2),
     )
+
+
+def _given_up(result: EpisodeResult) -> str:
+    """The value that was too low to go on, if that is how an episode ended."""
+    last = result.boundaries[-1] if result.boundaries else None
+    if last is None or last.course == "go on" or not last.is_value_low:
+        return ""
+    return f"value {last.value:.2f} before {last.before} is below {last.threshold:.2f}"
 
 
 def _episode(

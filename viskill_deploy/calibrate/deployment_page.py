@@ -131,7 +131,7 @@ def _main_table(found: dict[str, Any]) -> str:
             [f"simulated, {name}", str(part["robots"]), *_counted(part), span, str(part["stopped"])]
         )
     head = ["", "robots", "success", "rate", "95 % interval", "worst to best robot"]
-    return table([*head, "stopped by the gate, or refused"], rows)
+    return table([*head, "stopped by the gate, refused, or given up by the policy's value"], rows)
 
 
 def _counted(part: dict[str, Any]) -> list[str]:

@@ -54,6 +54,12 @@ def command(
         int, typer.Option(min=0, help="Episodes to measure in each distribution.")
     ] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Seed of those episodes.")] = 0,
+    threshold: Annotated[
+        float,
+        typer.Option(
+            min=0.0, max=1.0, help="Probability of success below which the runtime does not go on."
+        ),
+    ] = 0.5,
 ) -> None:
     """Export a training run as ONNX graphs with manifest and model card, and measure it."""
     try:
@@ -61,7 +67,7 @@ def command(
         from viskill_deploy.train.run import Run  # noqa: PLC0415
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "viskill export") from error
-    export(load_trained(Run.open(run), method), output, episodes, seed)
+    export(load_trained(Run.open(run), method), output, episodes, seed, threshold=threshold)
 
 
 @app.command("trajectory", epilog=TRAJECTORY_EXAMPLE)

@@ -45,7 +45,7 @@ CARD = "MODEL_CARD.md"
 TOLERANCE = 1e-5
 CHECKED_STATES = 512
 VALUE_THRESHOLD = 0.5
-"""Below this the runtime tells that success is unlikely."""
+"""Below this success is unlikely, and the runtime does not go on."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,7 @@ def export(
     episodes: int = 100,
     seed: int = 0,
     say: Callable[[str], None] = print,
+    threshold: float = VALUE_THRESHOLD,
 ) -> Path:
     """Writes the bundle of a finished run and measures it.
 
@@ -100,6 +101,7 @@ def export(
         episodes: evaluated in each of the task's distributions; 0 for none.
         seed: of the evaluation episodes.
         say: told about progress.
+        threshold: of the value, for the bundle.
 
     Returns:
         The bundle's folder.
@@ -119,7 +121,8 @@ def export(
         (output / name).write_bytes(graph)
     command = f"viskill export {os.path.relpath(run.folder)} {os.path.relpath(output)}"
     command += f" --method {trained.method} --episodes {episodes} --seed {seed}"
-    manifest = build_manifest(trained, scores, command)
+    command += "" if threshold == VALUE_THRESHOLD else f" --threshold {threshold:g}"
+    manifest = build_manifest(trained, scores, command, threshold)
     (output / CARD).write_text(model_card(manifest, run.settings, scores, command), "utf-8")
     write_manifest(output, manifest)
     say(f"bundle written to {output}")
@@ -170,7 +173,9 @@ def _checked(name: str, graph: bytes, feed: dict[str, Float32Array], wished: Flo
     return graph
 
 
-def build_manifest(trained: Trained, scores: Sequence[Score], command: str) -> Manifest:
+def build_manifest(
+    trained: Trained, scores: Sequence[Score], command: str, threshold: float
+) -> Manifest:
     """The manifest of a bundle, hashes still empty."""
     task = trained.run.task
     names = [skill.name for skill in task.skills]
@@ -203,9 +208,7 @@ def build_manifest(trained: Trained, scores: Sequence[Score], command: str) -> M
         ),
         subgoals="chaining",
         chaining=ChainingEntry(graphs={name: chain_file(name) for name in names[:-1]}),
-        value=ValueEntry(
-            graphs={name: value_file(name) for name in names}, threshold=VALUE_THRESHOLD
-        ),
+        value=ValueEntry(graphs={name: value_file(name) for name in names}, threshold=threshold),
         training_range=training_range(trained.skills),
         seeds=(trained.run.seed,),
         measured=tuple(

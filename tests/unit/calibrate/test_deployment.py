@@ -26,6 +26,8 @@ from viskill_deploy.cli.main import app
 from viskill_deploy.core.calibration_files import write_calibration
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import CalibrationError, SafetyStop
+from viskill_deploy.core.types import Boundary
+from viskill_deploy.runtime.ledger import EpisodeResult
 
 BUNDLE = Path(__file__).parents[3] / "policies" / "bipegtransfer-viskill"
 WHAT = Deployment(BUNDLE, robots=1, trials=1)
@@ -104,6 +106,15 @@ def test_only_what_is_not_there_yet_is_run(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["conditions"]["calibrated plan"]["trials"] == 1
     assert "--robots 1 --trials 1`" in (tmp_path / "page.md").read_text()
+
+
+def test_a_trial_says_when_the_policys_value_was_too_low_to_go_on() -> None:
+    seen = Boundary("", "grasp", (), 0.478, 0.5, "safe pose", "")
+    given_up = EpisodeResult(0, boundaries=[seen])
+    assert deployment._given_up(given_up) == "value 0.48 before grasp is below 0.50"
+    assert not deployment._given_up(EpisodeResult(0, boundaries=[replace(seen, course="go on")]))
+    assert not deployment._given_up(EpisodeResult(0, boundaries=[replace(seen, value=0.9)]))
+    assert not deployment._given_up(EpisodeResult(0))
 
 
 def test_a_robot_that_cannot_be_calibrated_is_told_and_counts_as_refused(

@@ -158,8 +158,12 @@ def test_an_unknown_method_is_refused_with_those_there_are(trained: Run) -> None
 
 def test_a_finished_run_becomes_a_bundle_that_loads(trained: Run, tmp_path: Path) -> None:
     opened = Run.open(trained.folder, quiet)
-    folder = export(load_trained(opened, "viskill"), tmp_path / "b", episodes=4, say=quiet)
+    what = load_trained(opened, "viskill")
+    folder = export(what, tmp_path / "b", episodes=4, say=quiet, threshold=0.25)
     bundle = load_bundle(folder)
+    assert bundle.manifest.value is not None
+    assert bundle.manifest.value.threshold == 0.25
+    assert "--threshold 0.25" in (folder / "MODEL_CARD.md").read_text()
     assert bundle.manifest.subgoals == "chaining"
     assert set(bundle.chaining) == {"grasp", "handover"}
     assert set(bundle.values) == {"grasp", "handover", "release"}
