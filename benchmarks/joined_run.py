@@ -48,6 +48,7 @@ from viskill_deploy.sim.world import WorldOptions
 BUNDLE = Path(__file__).parents[1] / "policies" / "bipegtransfer-viskill"
 PRESS, LET_GO, HELD = "press the consent pedal", "take your foot off", "resume?"
 MACHINE = "S20"
+RECORD = Path("recording/recording_0.mcap")
 ON_ITS_WAY_BYTES = 200_000
 """What a recording holds after two seconds of motion."""
 
@@ -60,17 +61,18 @@ class Bench:
 
     Attributes:
         told: how often a person was asked for the pedal, and whether to resume.
-        at_rest_s: how long the arms moved on after the last SIGKILL.
+        killed: how fast a joint moved at the last SIGKILL, and how long until all were at rest.
     """
 
     server: ServedLoopback
     folder: Path
     network: list[str]
     told: dict[str, int] = field(default_factory=lambda: {PRESS: 0, HELD: 0})
-    at_rest_s: float = 0.0
+    killed: dict[str, float] = field(default_factory=dict)
+    lock: threading.Lock = field(default_factory=threading.Lock)
 
     def run(
-        self, *arguments: str, kill: str = "", grown: int = 2000
+        self, *arguments: str, kill: str = "", grown: int = 2000, later_s: float = 0.0
     ) -> subprocess.CompletedProcess[str]:
         """A `viskill` command, with somebody at pedal and terminal.
 
@@ -78,7 +80,9 @@ class Bench:
             arguments: of the command.
             kill: SIGKILL once this file has grown since the start, or, as "1.5", after so many s.
             grown: by how many bytes.
+            later_s: so much later.
         """
+        self.killed = {}
         command = [sys.executable, "-m", "viskill_deploy.cli.main", *arguments]
         process = subprocess.Popen(
             command,
@@ -88,7 +92,9 @@ class Bench:
             text=True,
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
-        killer = threading.Thread(target=self._kill, args=(process, kill, grown), daemon=True)
+        killer = threading.Thread(
+            target=self._kill, args=(process, kill, grown, later_s), daemon=True
+        )
         if kill:
             killer.start()
         lines = []
@@ -98,9 +104,9 @@ class Bench:
             lines.append(line)
             if PRESS in line:
                 self.told[PRESS] += 1
-                self.server.say(consent=True)
+                self._say(consent=True)
             elif LET_GO in line:
-                self.server.say(consent=False)
+                self._say(consent=False)
             elif HELD in line:
                 self.told[HELD] += 1
                 with contextlib.suppress(BrokenPipeError):
@@ -109,10 +115,12 @@ class Bench:
         code = process.wait()
         if kill:
             killer.join()
-        self.server.say(consent=False)
+            if code != -signal.SIGKILL or not self.killed:
+                raise RuntimeError(f"was not killed, exit code {code}: {' '.join(command)}")
+        self._say(consent=False)
         return subprocess.CompletedProcess(command, code, "".join(lines), "")
 
-    def _kill(self, process: subprocess.Popen[str], when: str, grown: int) -> None:
+    def _kill(self, process: subprocess.Popen[str], when: str, grown: int, later_s: float) -> None:
         path = Path(when)
         size = path.stat().st_size if path.exists() else 0
         if re.fullmatch(r"[0-9.]+", when):
@@ -122,14 +130,25 @@ class Bench:
                 path.exists() and path.stat().st_size > size + grown
             ):
                 time.sleep(LOOK_S)
+        time.sleep(later_s)
+        speed = self._speed()
         process.send_signal(signal.SIGKILL)
-        self.at_rest_s = self.stopped_s()
+        self.killed = {"speed_rad_s": speed, "at_rest_s": self._stopped_s()}
 
-    def stopped_s(self) -> float:
+    def _say(self, consent: bool) -> None:
+        with self.lock:
+            self.server.say(consent=consent)
+
+    def _speed(self) -> float:
+        """Of the fastest joint, rad/s or m/s."""
+        with self.lock:
+            return max(max(map(abs, arm.measured_jv)) for arm in self.server.truth().arms)
+
+    def _stopped_s(self) -> float:
         """How long the arms took to be at rest; more than `STOPPED_S` if they did not come to."""
         began = time.monotonic()
         while (took := time.monotonic() - began) < STOPPED_S:
-            if all(max(map(abs, a.measured_jv)) < STILL_RAD_S for a in self.server.truth().arms):
+            if self._speed() < STILL_RAD_S:
                 break
             time.sleep(0.005)
         return took
@@ -192,8 +211,8 @@ def collected(bench: Bench, samples: int, speed: float, kill: bool) -> dict[str,
     command += ["--point", str(MARKER_M), *bench.network, "--speed", str(speed), "--yes"]
     found: dict[str, Any] = {"starts": 0}
     if kill:
-        bench.run(*command, kill=str(book))
-        found |= {"starts": 1, "killed_at_rest_s": bench.at_rest_s}
+        bench.run(*command, kill=str(book), later_s=0.3)
+        found |= {"starts": 1, "killed": bench.killed}
         kept = book.read_text(encoding="utf-8")
         found["kept_rows"] = _rows(kept)
     last = ""
@@ -229,7 +248,7 @@ def fitted(bench: Bench, kill: bool) -> dict[str, Any]:
     file, cell = bench.folder / "lab.json", str(bench.folder / "lab.toml")
     command = ["calibrate", "fit", str(bench.folder / "points"), "-o", str(file), "--cell", cell]
     if kill:
-        bench.run(*command, kill="2.0")
+        bench.run(*command, kill="1.0")
     done = bench.run(*command, "--json")
     if done.returncode:
         raise RuntimeError(done.stdout)
@@ -252,19 +271,18 @@ def executed(bench: Bench, layout: Scene, speed: float, kill: bool) -> dict[str,
     found: dict[str, Any] = {}
     number = 0
 
-    def run(kill: str = "") -> tuple[Path, int]:
+    def run(kill: bool = False) -> tuple[Path, int]:
         nonlocal number
         while (output := folder / f"run-{number}").exists():
             number += 1
         bench.server.reset(layout)
-        done = bench.run(*command, "--output", str(output), kill=kill, grown=ON_ITS_WAY_BYTES)
+        record = str(output / RECORD) if kill else ""
+        done = bench.run(*command, "--output", str(output), kill=record, grown=ON_ITS_WAY_BYTES)
         return output, done.returncode
 
     if kill:
-        record = folder / f"run-{number}" / "recording" / "recording_0.mcap"
-        output, _ = run(kill=str(record))
-        found["killed_at_rest_s"] = bench.at_rest_s
-        found["killed_record_bytes"] = record.stat().st_size if record.exists() else 0
+        output, _ = run(kill=True)
+        found |= {"killed": bench.killed, "killed_record_bytes": (output / RECORD).stat().st_size}
     for start in range(1, TRIES + 1):
         output, code = run()
         found |= {"starts": start, "exit": code}

@@ -41,6 +41,7 @@ class Book:
         else:
             self._file = path.open("w", encoding="utf-8")
             self._file.write(title + measurements.header())
+            self._file.flush()
 
     def write(self, pose: int, is_moving: bool, row: Measurements | None) -> None:
         """Writes a row; a comment once a pose is done, seen or not.
@@ -77,9 +78,13 @@ def _resume(path: Path, title: str) -> tuple[int, int]:
     """
     text = path.read_text(encoding="utf-8")
     title += measurements.header()
+    if title.startswith(text):  # ended while its first lines were written
+        text = title
+        path.write_text(title, encoding="utf-8")
     if not text.startswith(title):
         raise CalibrationError(
-            f"{path}: holds measurements of another programme or arm; name another folder"
+            f"{path}: holds measurements of another programme, arm or version of this program; "
+            "name another folder"
         )
     ends = list(re.finditer(r"^# pose (\d+) (done|given up)\n", text, re.MULTILINE))
     kept = text[: ends[-1].end()] if ends else title

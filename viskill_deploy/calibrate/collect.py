@@ -51,11 +51,15 @@ STALE_S = 0.15
 PARABOLA_S = 0.06
 """So long a part of a way is taken for a parabola: more than what a tracker's stamps are late."""
 
-FEWEST = 4
-"""States that a parabola needs; it has three numbers."""
+FEWEST, SPAN = 4, 0.7
+"""States that a parabola needs, which has three numbers, and the part of `PARABOLA_S` that they
+have to cover."""
 
-PAST = 60
-"""Control periods that are looked back on: more than `STALE_S`."""
+VERSION = 2
+"""Of what is measured, and how: rows of another version are no part of the same study."""
+
+TINY_S = 1e-9
+"""Rounding of stamps."""
 
 BLIND_POSES = 3
 """A tracker that is covered at a pose is soon free again; one that stays blind is not."""
@@ -262,7 +266,8 @@ def _visits(session: Session, state: CellState, poses: FloatArray, first: int) -
 
 def _stream(session: Session, source: PointSource, visits: _Visits, books: list[Book]) -> bool:
     """Streams a lot and measures on the way; False when the gate stepped in."""
-    due, past = _moments(session.cell, visits), deque[CellState](maxlen=PAST)
+    look_back = math.ceil((STALE_S + PARABOLA_S) / session.driver.period_s) + 2
+    due, past = _moments(session.cell, visits), deque[CellState](maxlen=look_back)
     motion = visits.plan.motion
     turns = np.zeros((len(books), 3))
     session.line.follow(motion)
@@ -354,16 +359,17 @@ def _moving_at(
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """An arm's joints, speeds and accelerations, (6,) each, at a time among its last states'.
 
-    None where there are too few states before it.
+    None where too little is known of the time before it. A state that was read twice counts once.
 
     They are those of the parabola through the positions of the last `PARABOLA_S`, which is also
     what the fit takes for where the joints were a delay ago. Reported speeds are left alone: they
     are those of a moment, and a servo that follows a staircase is slower at the end of each step.
     """
-    ages = np.array([state.arms[arm].stamp_s for state in past]) - time
-    joints = np.array([state.arms[arm].measured_jp for state in past])
-    near = (ages >= -PARABOLA_S) & (ages <= 1e-9)
-    if near.sum() < FEWEST:
+    stamps, first = np.unique([state.arms[arm].stamp_s for state in past], return_index=True)
+    joints = np.array([past[index].arms[arm].measured_jp for index in first])
+    ages = stamps - time
+    near = (ages >= -PARABOLA_S - TINY_S) & (ages <= TINY_S)
+    if near.sum() < FEWEST or np.ptp(ages[near]) < SPAN * PARABOLA_S:
         return None
     curve, speed, place = np.polyfit(ages[near], joints[near], 2)
     return place, speed, 2.0 * curve

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import datetime
 import functools
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import closing
@@ -17,6 +18,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from viskill_deploy.bundle.format import MANIFEST
+from viskill_deploy.calibrate import collect as collecting
 from viskill_deploy.calibrate.apply import calibration_file
 from viskill_deploy.calibrate.collect import collect
 from viskill_deploy.calibrate.fit import fit_arm
@@ -89,9 +92,19 @@ class Deployment:
 
     def title(self) -> dict[str, Any]:
         """What two files of trials have to have in common to be one."""
-        title = {"bundle": self.bundle.name, "samples": self.samples, "seed": self.seed}
-        scale = {} if self.scale == 1.0 else {"scale": self.scale}
-        return title | {"rate_hz": round(1.0 / PERIOD_S)} | scale
+        prepared = _prepared(self.bundle)
+        files = [self.bundle / MANIFEST, prepared.cell.files[0]]
+        return {
+            "bundle": self.bundle.name,
+            "bundle_and_cell_sha256": hashlib.sha256(
+                b"".join(file.read_bytes() for file in files)
+            ).hexdigest(),
+            "collect": collecting.VERSION,
+            "samples": self.samples,
+            "seed": self.seed,
+            "rate_hz": round(1.0 / PERIOD_S),
+            "scale": self.scale,
+        }
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ _ACCELERATIONS = (
 _TURNS = ("turn4", "turn5", "turn6")
 _POINT = ("x_m", "y_m", "z_m")
 
-COLUMNS = ("stamp_s", *_JOINTS, *_SPEEDS, *_ACCELERATIONS, *_TURNS, *_POINT)
+COLUMNS = ("stamp_s", *_JOINTS, *_SPEEDS, *_TURNS, *_POINT, *_ACCELERATIONS)
 """Of the file. Speeds and turns may be left out: the delay, or the backlash, stays unknown then.
 Without accelerations the delay is known a little worse."""
 
@@ -182,7 +182,7 @@ def header() -> str:
 def line(measurements: Measurements, row: int) -> str:
     """One row of a file, to the last bit."""
     m = measurements
-    values = (m.joints, m.speeds, m.accelerations, m.turns, m.points)
+    values = (m.joints, m.speeds, m.turns, m.points, m.accelerations)
     numbers = (m.stamps[row], *(number for part in values for number in part[row]))
     return ",".join(repr(float(number)) for number in numbers) + "\n"
 

@@ -15,10 +15,12 @@ from rich.table import Table
 
 from viskill_deploy.calibrate.apply import calibration_file
 from viskill_deploy.calibrate.board import arm_error_m, on_moved_board, touched_board
+from viskill_deploy.calibrate.collect import PARABOLA_S
+from viskill_deploy.calibrate.collect import VERSION as COLLECTING
 from viskill_deploy.calibrate.fit import ArmFit, fit_arm
 from viskill_deploy.calibrate.judge import judge
 from viskill_deploy.calibrate.measurements import load
-from viskill_deploy.calibrate.parameters import NAMES
+from viskill_deploy.calibrate.parameters import DELAY, NAMES
 from viskill_deploy.calibrate.port import port_of
 from viskill_deploy.calibrate.study import WAYS, Study, Trial, figures
 from viskill_deploy.calibrate.trial_lines import add_line, read_lines
@@ -113,6 +115,11 @@ def fit_command(
     console = Console()
     for name, fit in fits.items():
         console.print(_table(name, fit))
+        if not -fit.sigma[DELAY] <= fit.vector[DELAY] <= PARABOLA_S:  # false where it is frozen
+            console.print(
+                f"{name}: stamps seem {1e3 * fit.vector[DELAY]:.0f} ms late; joints are followed "
+                f"for {1e3 * PARABOLA_S:.0f} ms, so look at the tracker's clock"
+            )
     for name, port in ports.items():
         console.print(f"{name}: {port_words(port)}", highlight=False)
     console.print(f"Written: {output}")
@@ -191,7 +198,7 @@ def study_command(
     ways = WAYS if only is None else (only.value,)
     study = Study(described, seed, samples, points, ways)
     title: dict[str, Any] = {"cell": cell, "seed": seed, "samples": samples, "points": points}
-    title |= {"marker_m": MARKER_M} if WAYS[0] in ways else {}
+    title |= {"marker_m": MARKER_M, "collect": COLLECTING}
     title |= {} if only is None else {"only": only.value}
     rows = [] if output is None else read_lines(output, title)
     with Progress(console=Console(stderr=True)) as bar:

@@ -45,7 +45,7 @@ def test_the_vector_and_its_names_go_together() -> None:
 def test_the_model_follows_the_definitions() -> None:
     rng = np.random.default_rng(0)
     m = with_points(poses(30, rng), np.zeros((30, 3)))
-    m = Measurements(m.stamps, m.joints, m.speeds, m.turns, m.points, 0.0102)
+    m = replace(m, point_m=0.0102)
     vector = rng.normal(0, 1, 27) * USUAL
     np.testing.assert_allclose(
         ErrorModel(ARM).points(vector, m), true_points(ARM, errors_of(vector), m), atol=1e-12
@@ -114,7 +114,7 @@ def test_ten_touched_points_fix_base_and_insertion_and_freeze_the_wrist() -> Non
 def test_points_at_the_jaw_end_show_the_wrist_yaw() -> None:
     truth = ArmErrors(joint_offset=(0, 0, 0, 0, 0, 0.03))
     m = poses(120, np.random.default_rng(0))
-    m = Measurements(m.stamps, m.joints, m.speeds, m.turns, m.points, 0.0102)
+    m = replace(m, point_m=0.0102)
     fit = fit_arm(ARM, with_points(m, true_points(ARM, truth, m)))
     assert fit.errors.joint_offset[5] == pytest.approx(0.03, abs=1e-4)
 
@@ -131,7 +131,7 @@ def _bad(change: Callable[[np.ndarray, np.ndarray], None], n: int = 60) -> Measu
     m, _ = measured(ARM, TYPICAL, n, seed=4)
     joints, points = m.joints.copy(), m.points.copy()
     change(joints, points)
-    return Measurements(m.stamps, joints, m.speeds, m.turns, points)
+    return replace(m, joints=joints, points=points)
 
 
 def _repeat(joints: np.ndarray, points: np.ndarray) -> None:
