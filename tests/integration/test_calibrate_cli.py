@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from measured_arm import TYPICAL, cell_arm, measured, true_points
 from typer.testing import CliRunner
 
+from viskill_deploy.calibrate.measurements import save
 from viskill_deploy.calibrate.truths import draw_robot
 from viskill_deploy.cli.main import app
 from viskill_deploy.core.calibration_files import calibrated, read_calibration
@@ -40,6 +43,30 @@ def test_a_hidden_robot_is_measured_fitted_and_found(tmp_path: Path) -> None:
     done = RUN.invoke(app, fit)
     assert "the data do not tell" in done.stdout
     assert "median" in done.stdout
+    assert "look at the tracker's clock" not in done.stdout
+
+
+@pytest.mark.parametrize(("delay_s", "words"), [(0.04, 0), (0.09, 2)])
+def test_stamps_that_are_later_than_joints_are_followed_are_told(
+    delay_s: float, words: int, tmp_path: Path
+) -> None:
+    for index, arm in enumerate(load_cell("bipegtransfer").arms):
+        m, _ = measured(cell_arm(index), replace(TYPICAL, delay_s=delay_s), 120, seed=index)
+        save(m, tmp_path / f"{arm.name}.csv")
+    done = RUN.invoke(app, ["calibrate", "fit", str(tmp_path), "-o", str(tmp_path / "c.json")])
+    assert done.exit_code == 0, done.output
+    assert done.stdout.count("look at the tracker's clock") == words
+
+
+def test_a_delay_that_nobody_knows_is_told_as_nothing(tmp_path: Path) -> None:
+    for index, arm in enumerate(load_cell("bipegtransfer").arms):
+        m, _ = measured(cell_arm(index), TYPICAL, 120, seed=index)
+        still = replace(m, speeds=np.zeros((120, 6)), accelerations=np.zeros((120, 6)))
+        at_rest = true_points(cell_arm(index), TYPICAL, still)
+        save(replace(still, points=at_rest), tmp_path / f"{arm.name}.csv")
+    done = RUN.invoke(app, ["calibrate", "fit", str(tmp_path), "-o", str(tmp_path / "c.json")])
+    assert done.exit_code == 0, done.output
+    assert "look at the tracker's clock" not in done.stdout
 
 
 @pytest.mark.no_cover

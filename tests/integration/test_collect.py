@@ -10,6 +10,7 @@ import pytest
 from operators import Person
 from silent_recorder import SilentRecorder
 
+from viskill_deploy.calibrate.books import Book
 from viskill_deploy.calibrate.collect import Collected, collect
 from viskill_deploy.calibrate.error_model import ErrorModel
 from viskill_deploy.calibrate.measurements import load
@@ -108,6 +109,19 @@ def test_the_delay_of_a_tracker_shows_on_the_move_alone(tmp_path: Path) -> None:
     vector[DELAY] = 0.03
     late = ErrorModel(CELL.arms[0]).points(vector, m)
     np.testing.assert_allclose(m.points, late, atol=3e-5)
+
+
+@pytest.mark.parametrize("part", [0, 20, 200])
+def test_a_file_that_ended_within_its_first_lines_is_begun_again(part: int, tmp_path: Path) -> None:
+    path, arm = tmp_path / "PSM1.csv", CELL.arms[0]
+    Book(path, "seed 0", arm, 0.0).close()
+    whole = path.read_text()
+    path.write_text(whole[:part])
+    Book(path, "seed 0", arm, 0.0).close()
+    assert path.read_text() == whole
+    path.write_text(whole.replace(",a1_rad_s2", ""))
+    with pytest.raises(CalibrationError, match="version of this program"):
+        Book(path, "seed 0", arm, 0.0)
 
 
 def test_a_collection_that_was_cut_off_goes_on_where_it_was(tmp_path: Path) -> None:

@@ -270,8 +270,7 @@ def _try(what: Deployment, folder: Path, robot: int, number: int, condition: Con
     if needs_calibration and is_ready:
         cell = calibrated(cell, read_calibration(file), file)
     elif condition == EXACT:
-        errors = zip((arm.name for arm in cell.arms), hidden.truth.errors(cell), strict=True)
-        cell = replace(with_errors(cell, dict(errors)), filed=cell)
+        cell = replace(with_errors(cell, hidden.truth.arms), filed=cell)
     prepared = replace(prepared, cell=cell, task=load_task(prepared.task.name, cell))
     mode: Mode = "closed-loop" if condition.endswith("closed-loop") else "plan"
     clock = MonotonicClock()
@@ -303,7 +302,7 @@ def _try(what: Deployment, folder: Path, robot: int, number: int, condition: Con
 def _given_up(result: EpisodeResult) -> str:
     """The value that was too low to go on, if that is how an episode ended."""
     last = result.boundaries[-1] if result.boundaries else None
-    if last is None or last.course == "go on" or not last.is_value_low:
+    if last is None or last.course != "safe pose" or not last.is_value_low:
         return ""
     return f"value {last.value:.2f} before {last.before} is below {last.threshold:.2f}"
 

@@ -115,10 +115,11 @@ def fit_command(
     console = Console()
     for name, fit in fits.items():
         console.print(_table(name, fit))
-        if not -fit.sigma[DELAY] <= fit.vector[DELAY] <= PARABOLA_S:  # false where it is frozen
+        if fit.vector[DELAY] > PARABOLA_S:
             console.print(
-                f"{name}: stamps seem {1e3 * fit.vector[DELAY]:.0f} ms late; joints are followed "
-                f"for {1e3 * PARABOLA_S:.0f} ms, so look at the tracker's clock"
+                f"{name}: stamps seem {1e3 * fit.vector[DELAY]:.0f} ms late; collect follows "
+                f"joints for {1e3 * PARABOLA_S:.0f} ms, so look at the tracker's clock",
+                soft_wrap=True,
             )
     for name, port in ports.items():
         console.print(f"{name}: {port_words(port)}", highlight=False)

@@ -8,7 +8,7 @@ import pytest
 from calibrations import exact_calibration
 from typer.testing import CliRunner
 
-from viskill_deploy.calibrate import deployment
+from viskill_deploy.calibrate import collect, deployment
 from viskill_deploy.calibrate.deployment import (
     CALIBRATED,
     EXACT,
@@ -81,6 +81,25 @@ def test_a_trial_that_was_cut_off_while_it_was_written_is_run_again(tmp_path: Pa
         read_trials(path, replace(WHAT, seed=7))
 
 
+@pytest.mark.parametrize("what", ["manifest", "cell", "way of measuring"])
+def test_trials_of_another_bundle_cell_or_way_of_measuring_are_not_mixed(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read_trials(tmp_path / TRIALS, WHAT)
+    if what == "way of measuring":
+        monkeypatch.setattr(collect, "VERSION", collect.VERSION + 1)
+    else:
+        file = (
+            BUNDLE / "manifest.json" if what == "manifest" else load_cell("bipegtransfer").files[0]
+        )
+        real = Path.read_bytes
+        monkeypatch.setattr(
+            Path, "read_bytes", lambda path: real(path) + b" " * (path.name == file.name)
+        )
+    with pytest.raises(CalibrationError, match="holds trials of"):
+        read_trials(tmp_path / TRIALS, WHAT)
+
+
 def test_only_what_is_not_there_yet_is_run(tmp_path: Path) -> None:
     cell = load_cell("bipegtransfer")
     truth = hidden_robot("100", cell).truth.errors(cell)
@@ -112,7 +131,7 @@ def test_a_trial_says_when_the_policys_value_was_too_low_to_go_on() -> None:
     seen = Boundary("", "grasp", (), 0.478, 0.5, "safe pose", "")
     given_up = EpisodeResult(0, boundaries=[seen])
     assert deployment._given_up(given_up) == "value 0.48 before grasp is below 0.50"
-    assert not deployment._given_up(EpisodeResult(0, boundaries=[replace(seen, course="go on")]))
+    assert not deployment._given_up(EpisodeResult(0, boundaries=[replace(seen, course="retry")]))
     assert not deployment._given_up(EpisodeResult(0, boundaries=[replace(seen, value=0.9)]))
     assert not deployment._given_up(EpisodeResult(0))
 
