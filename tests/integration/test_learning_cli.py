@@ -1,6 +1,7 @@
 """Sweeps, training, evaluation and tables as commands, with a method that hardly learns."""
 
 import contextlib
+import dataclasses
 import json
 import os
 import signal
@@ -129,6 +130,9 @@ def test_a_learned_method_can_be_evaluated_by_itself(swept: tuple[Path, str, str
     assert run.exit_code == 0, run.output
     told = json.loads(run.stdout)
     assert (told["method"], told["layout_seed"], set(told["scores"])) == ("dex", 5, {"wide"})
+    told = json.loads(viskill("evaluate", folder, "--episodes", 1, "--json").stdout)
+    measured = read_result(folder / "dex" / "result.json").scores
+    assert told["scores"] == {name: dataclasses.asdict(f) for name, f in measured.items()}
     for wrong in (("--method", "viskill"), ("--distribution", "elsewhere")):
         assert viskill("evaluate", folder, *wrong).exit_code == 2
 

@@ -54,7 +54,7 @@ def command(
     scores = {}
     for where in (distribution,) if distribution else known:
         with console.status(f"{episodes} episodes, {where}"):
-            figures = figures_of(evaluate(opened.loop, policy, where, episodes, layouts))
+            figures = figures_of(evaluate(opened.trial, policy, where, episodes, layouts))
         scores[where] = dataclasses.asdict(figures)
         console.print(_line(where, figures), markup=False, highlight=False, soft_wrap=True)
     if json_:

@@ -20,7 +20,7 @@ from viskill_deploy.train.rollout import (
     joined,
     run_task,
 )
-from viskill_deploy.train.skill_learning import VALIDATION
+from viskill_deploy.train.skill_learning import VALIDATION, WHOLE_TASKS
 from viskill_deploy.train.subgoal_space import POSITIONS
 
 
@@ -275,7 +275,7 @@ class ChainLearner:
         return spread
 
     def _test(self) -> float:
-        rng = np.random.default_rng((self.seed + VALIDATION, 100))  # the same layouts every time
+        rng = np.random.default_rng((self.seed + VALIDATION, *WHOLE_TASKS))
         rates = []
         for _ in range(self.amounts.test_lots):
             fresh(self.loop, rng, self.distributions)

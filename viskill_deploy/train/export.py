@@ -71,7 +71,7 @@ def load_trained(run: Run, method: str) -> Trained:
     Raises:
         TrainingError: the run is not finished.
     """
-    if method in {"dex", "gcbc", "tstar"}:
+    if method in {"dex", "gcbc", "planned", "tstar"}:
         raise TrainingError(f"{method} has no chaining policy to export; choose a chaining method")
     stages = [f"skill-{skill.name}" for skill in run.task.skills] + [f"chain-{method}"]
     for stage in stages:

@@ -5,15 +5,17 @@ from __future__ import annotations
 import dataclasses
 from typing import cast
 
+import numpy as np
+
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.sim.tasks.base import Task
 from viskill_deploy.sim.vector_loop import VectorLoop
 from viskill_deploy.train import store
 from viskill_deploy.train.hidden import hidden_robots
-from viskill_deploy.train.rollout import Act, TaskPolicy, final_goals
+from viskill_deploy.train.rollout import Act, TaskPolicy, final_goals, fresh, run_task
 from viskill_deploy.train.run import Run, actor, demos_of
 from viskill_deploy.train.skill_learning import SkillData, SkillLearner, SkillSettings
-from viskill_deploy.train.whole_task import WholeTask, whole_demos
+from viskill_deploy.train.whole_task import WholeScript, WholeTask, whole_demos
 
 
 class Flat:
@@ -39,8 +41,18 @@ class Flat:
         return self._act(obs, goals)
 
 
+def as_many_steps(skill: SkillSettings, skills: int) -> SkillSettings:
+    """The settings with as many steps of imitation as `skills` skills take together."""
+    return dataclasses.replace(
+        skill,
+        imitation_steps=skills * skill.imitation_steps,
+        correction_steps=skills * skill.correction_steps,
+        polish_steps=skills * skill.polish_steps,
+    )
+
+
 def learn_flat(run: Run, stage: str, settings: SkillSettings) -> TaskPolicy:
-    """Learns the whole task as one skill."""
+    """Learns the whole task as one skill; the best in tests of the whole task is kept."""
     if not run.done(stage):
         demos = whole_demos(run.task, demos_of(run))
         loop = VectorLoop(
@@ -50,10 +62,24 @@ def learn_flat(run: Run, stage: str, settings: SkillSettings) -> TaskPolicy:
             threads=run.threads,
             robots=hidden_robots(run.task.cell, run.settings.hidden, run.settings.environments),
         )
-        settings = dataclasses.replace(settings, corrections=0)  # the script knows skills only
-        data = SkillData(demos.clean, demos.corrected)
+
+        def teacher(loop: VectorLoop, rng: np.random.Generator) -> Act:
+            return WholeScript(run.task, loop, rng)
+
+        def examiner(rng: np.random.Generator, act: Act) -> float:
+            fresh(loop, rng, run.settings.distributions)
+            return float(run_task(loop, Flat(act)).success.mean())
+
         learner = SkillLearner(
-            loop, 0, data, run.settings.distributions, settings, run.settings.dex, run.seed
+            loop,
+            0,
+            SkillData(demos.clean, demos.corrected),
+            run.settings.distributions,
+            settings,
+            run.settings.dex,
+            run.seed,
+            teacher=teacher,
+            examiner=examiner,
         )
         run.learn(stage, learner, settings.test_every)
         run.finish(stage, {"weights": learner.best_weights(), "success": learner.best})

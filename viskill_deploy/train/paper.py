@@ -29,14 +29,15 @@ TITLES = {
     "viskill_ldm": "ViSkill-LDM",
     "viskill_sr": "ViSkill-SR",
     "self_imitation": "self-imitation only",
+    "planned": "scripted subgoals",
 }
-"""What the paper calls our methods; it has no name for the last one."""
+"""What the paper calls our methods; it has no names for the last two."""
 
 MAIN = "viskill"
 """The paper's method: what the others are held against, and whose value is a probability."""
 
 BASELINES = ("viskill", "tstar", "dex", "gcbc")
-ABLATIONS = ("viskill", "viskill_dm", "viskill_ldm", "viskill_sr", "self_imitation")
+ABLATIONS = ("viskill", "viskill_dm", "viskill_ldm", "viskill_sr", "self_imitation", "planned")
 
 TASKS = {
     "bipegtransfer": "BiPegTransfer",

@@ -5,10 +5,10 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 
 from viskill_deploy.core.errors import TrainingError
+from viskill_deploy.train.order import told_order
 from viskill_deploy.train.paper import (
     ABLATIONS,
     BASELINES,
@@ -48,6 +48,11 @@ This page is built by `{command}` from the files in `{source}`, which
 `viskill sweep sweeps/paper.toml` writes. They come from commit {commits}.
 """
 
+ORDER = """Two methods count as told apart if their success on `reference` layouts, over the seeds
+that both have run, differs by more than two standard errors (`viskill_deploy/train/order.py`).
+Methods that do the task every time cannot be ranked by success.
+"""
+
 
 @dataclass(frozen=True, slots=True)
 class Results:
@@ -64,15 +69,24 @@ def read_results(folder: Path) -> Results:
     """Every result file in a folder.
 
     Raises:
-        TrainingError: there are none, or two of the same unit.
+        TrainingError: there are none, or two of the same unit, or some of a task that were learned
+            or measured otherwise than the others.
         DataFileError: one is wrong.
     """
     found: dict[tuple[str, str, int], Result] = {}
+    protocols: dict[str, tuple[Path, object]] = {}
     for path in sorted(folder.glob("*.json")):
         result = read_result(path)
         key = (result.unit.task, result.unit.method, result.unit.seed)
         if key in found:
             raise TrainingError(f"{path} is a second result of {result.unit.name}; delete one")
+        alike = (result.settings, result.measuring)
+        first = protocols.setdefault(result.unit.task, (path, alike))
+        if first[1] != alike:
+            raise TrainingError(
+                f"{path} was learned or measured otherwise than {first[0]}; keep results of other "
+                "settings in a folder of their own"
+            )
         found[key] = result
     if not found:
         raise TrainingError(f"{folder} holds no result files; run `viskill sweep` first")
@@ -117,6 +131,7 @@ def page(results: Results, folder: Path, output: Path, figure: str) -> str:
         "## Table II: ablations\n",
         *(_task_table(results, task, ABLATIONS) for task in ablated(results)),
         "## Does the paper's order hold?\n",
+        ORDER,
         *(f"- {line}" for line in order(results)),
         "\n## Value against success\n",
         _values(results, figure),
@@ -187,24 +202,10 @@ def _published(pair: tuple[float, float | None]) -> str:
 
 def order(results: Results) -> list[str]:
     """For each task, the pairs of methods that stand otherwise than in the paper."""
-    lines: list[str] = []
-    for task, published in PUBLISHED.items():
-        means = {
-            method: statistics.fmean(100.0 * r.scores["reference"].success_rate for r in runs)
-            for method in published
-            if (runs := results.of(task, method))
-        }
-        missing = [TITLES[m] for m in published if m not in means]
-        wrong = [
-            f"{TITLES[b]} ({means[b]:.1f} %) is not behind {TITLES[a]} ({means[a]:.1f} %), "
-            f"in the paper {published[b].success[0]:.1f} to {published[a].success[0]:.1f} %"
-            for a, b in combinations(sorted(means, key=lambda m: -published[m].success[0]), 2)
-            if means[b] >= means[a]
-        ]
-        verdict = "; ".join(wrong) if wrong else "yes" if len(means) > 1 else "cannot be said"
-        unknown = f" ({NOT_RUN}: {', '.join(missing)})" if missing else ""
-        lines.append(f"**{TASKS[task]}**: {'no: ' if wrong else ''}{verdict}.{unknown}")
-    return lines
+    return [
+        f"**{TASKS[task]}**: {told_order(task, {m: results.of(task, m) for m in published})}"
+        for task, published in PUBLISHED.items()
+    ]
 
 
 def _values(results: Results, figure: str) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -24,7 +25,7 @@ from viskill_deploy.train.dex import Dex, DexSettings
 from viskill_deploy.train.network import scaling_of
 from viskill_deploy.train.optimiser import state_of
 from viskill_deploy.train.replay import Batch, Episodes, Float32Array, Replay
-from viskill_deploy.train.rollout import Start, final_goals, fresh, reached, resume, run_skill
+from viskill_deploy.train.rollout import Act, Start, final_goals, fresh, reached, resume, run_skill
 from viskill_deploy.train.subgoal_space import POSITIONS, SubgoalSpace
 
 IMITATION_RATE, LOWEST_RATE, POLISHED_RATE = 1e-3, 1e-4, 1e-5
@@ -32,6 +33,9 @@ IMITATION_RATE, LOWEST_RATE, POLISHED_RATE = 1e-3, 1e-4, 1e-5
 
 VALIDATION = 2**30
 """Added to the seeds of test rounds: neither training nor the reported evaluation uses them."""
+
+WHOLE_TASKS = (100,)
+"""Further seed of tests that are whole tasks: they have the same layouts every time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +118,13 @@ class Shaping(Protocol):
         ...
 
 
+Teacher = Callable[[VectorLoop, np.random.Generator], Act]
+"""(environments at the start of the skill, their dice) → who says what should have been done."""
+
+Examiner = Callable[[np.random.Generator, Act], float]
+"""(dice of the layouts, policy) → part of the episodes in which it does what counts."""
+
+
 @dataclass
 class SkillLearner:
     """One skill in the making.
@@ -127,6 +138,8 @@ class SkillLearner:
         dex: numbers of the algorithm.
         seed: of everything random.
         shaping: a further reward, for T-STAR.
+        teacher: who corrects; the skill's script if none is named.
+        examiner: tests the policy instead of runs of the skill.
     """
 
     loop: VectorLoop
@@ -137,6 +150,8 @@ class SkillLearner:
     dex: DexSettings
     seed: int
     shaping: Shaping | None = None
+    teacher: Teacher | None = None
+    examiner: Examiner | None = None
     round: int = 0
     best: float = -1.0
     passed: int = 0
@@ -231,14 +246,12 @@ class SkillLearner:
     def _correct(self) -> float:
         goals, _ = self.begin(self._rng, spread=True)
         noise = push(self.loop, self.settings.push, self._rng)
+        if self.teacher:
+            labels = self.teacher(self.loop, self._rng)
+        else:
+            labels = script(self.loop.task, self.index)
         episodes, alive = run_skill(
-            self.loop,
-            self.index,
-            self.agent.act,
-            goals,
-            self._rng,
-            noise,
-            labels=script(self.loop.task, self.index),
+            self.loop, self.index, self.agent.act, goals, self._rng, noise, labels
         )
         self._corrected.add(episodes.only(np.flatnonzero(alive)), self._rng)
         return float((reached(self.loop.task, self.index, episodes) & alive).mean())
@@ -255,20 +268,21 @@ class SkillLearner:
         return float((reached(self.loop.task, self.index, episodes) & alive).mean())
 
     def _test(self) -> float:
-        rng = np.random.default_rng((self.seed + VALIDATION, self.index, self.round))
-        rates = []
-        for _ in range(self.settings.test_lots):
-            goals, _ = self.begin(rng, spread=False)
-            episodes, alive = run_skill(self.loop, self.index, self.agent.act, goals)
-            whole = len(self.loop.task.skills) == 1  # the task itself is the test
-            done = self.loop.success() if whole else reached(self.loop.task, self.index, episodes)
-            rates.append((done & alive).mean())
-        rate = float(np.mean(rates))
+        which = WHOLE_TASKS if self.examiner else (self.index, self.round)
+        rng = np.random.default_rng((self.seed + VALIDATION, *which))
+        examiner = self.examiner or self._examine
+        lots = range(self.settings.test_lots)
+        rate = float(np.mean([examiner(rng, self.agent.act) for _ in lots]))
         self.failed = 0 if rate > self.best else self.failed + 1
         if rate >= self.best:
             self.best, self._best_actor = rate, state_of(self.agent.actor)
         self.passed = self.passed + 1 if rate >= self.settings.enough else 0
         return rate
+
+    def _examine(self, rng: np.random.Generator, act: Act) -> float:
+        goals, _ = self.begin(rng, spread=False)
+        episodes, alive = run_skill(self.loop, self.index, act, goals)
+        return float((reached(self.loop.task, self.index, episodes) & alive).mean())
 
     def begin(self, rng: np.random.Generator, spread: bool) -> tuple[FloatArray, FloatArray]:
         """Puts the environments at starts of the skill.

@@ -9,11 +9,40 @@ import numpy as np
 import numpy.typing as npt
 
 from viskill_deploy.core.types import FloatArray, Scene
-from viskill_deploy.sim.tasks.base import SkillSpec, Task
-from viskill_deploy.train.demos import SkillDemos
+from viskill_deploy.sim.tasks.base import AnyFloatArray, SkillSpec, Task
+from viskill_deploy.sim.vector_loop import VectorLoop
+from viskill_deploy.train.demos import SkillDemos, script
 from viskill_deploy.train.replay import Episodes, Float32Array
+from viskill_deploy.train.rollout import final_goals, plan_of
 
 WHOLE = "whole"
+
+
+class WholeScript:
+    """The scripted controller of the whole task: of the skill whose turn it is at each step.
+
+    Args:
+        task: the task with its skills.
+        loop: environments at the start of the task.
+        rng: draws the plan's handover noise.
+    """
+
+    def __init__(self, task: Task, loop: VectorLoop, rng: np.random.Generator) -> None:
+        self._loop = loop
+        self._turns = [i for i, skill in enumerate(task.skills) for _ in range(skill.budget)]
+        self._scripts = [script(task, index) for index in range(len(task.skills))]
+        obs, scenes = loop.observe(), loop.scenes()
+        self._plans = np.array([plan_of(task, obs[i], scenes[i], rng) for i in range(loop.count)])
+        self._step = 0
+
+    def __call__(self, obs: AnyFloatArray, goals: AnyFloatArray) -> FloatArray:
+        """Actions of the next step, (count, k); the task's goal is not asked for."""
+        del goals
+        index, before = self._turns[self._step], self._turns[max(0, self._step - 1)]
+        if index == len(self._scripts) - 1 and before < index:
+            self._plans[:, index] = final_goals(self._loop, np.asarray(obs, np.float64))
+        self._step += 1
+        return self._scripts[index](obs, self._plans[:, index])
 
 
 class WholeTask:

@@ -56,9 +56,16 @@ def test_the_value_at_a_skills_start_is_compared_with_the_outcome_of_its_episode
 ) -> None:
     asked: list[tuple[int, ...]] = []
 
+    begun: list[FloatArray] = []
+
     class Told(Chaining):
+        def choose(self, index: int, obs: FloatArray, *rest: Any) -> FloatArray:
+            begun.append(obs)
+            return super().choose(index, obs, *rest)
+
         def probability(self, index: int, *seen: FloatArray) -> FloatArray:
             asked.append((index, *(part.shape[1] for part in seen)))
+            assert np.allclose(seen[0], begun[index], atol=1e-6), "the start of this skill"
             return np.array([0.9, 0.2])
 
     monkeypatch.setattr(VectorLoop, "success", lambda _: np.array([True, False]))

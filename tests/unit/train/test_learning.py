@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +10,20 @@ import pytest
 
 from viskill_deploy.bundle.format import load_bundle
 from viskill_deploy.core.errors import TrainingError
+from viskill_deploy.core.types import Scene
+from viskill_deploy.sim.vector_loop import VectorLoop
 from viskill_deploy.train import methods, store
-from viskill_deploy.train.chain_learning import ChainAmounts, ChainLearner
+from viskill_deploy.train.calibration import calibrate
+from viskill_deploy.train.chain_learning import ChainAmounts, Chained, ChainLearner
 from viskill_deploy.train.chaining import Chaining, ChainSettings
-from viskill_deploy.train.demos import DemoSettings
+from viskill_deploy.train.demos import DemoSettings, record_demos
 from viskill_deploy.train.dex import DexSettings
 from viskill_deploy.train.evaluate import evaluate
 from viskill_deploy.train.export import export, load_trained
+from viskill_deploy.train.rollout import fresh, run_task
 from viskill_deploy.train.run import Run, actor, demos_of, skill_learner, skills_of
 from viskill_deploy.train.settings import RunSettings
-from viskill_deploy.train.skill_learning import SkillSettings
+from viskill_deploy.train.skill_learning import SkillData, SkillLearner, SkillSettings
 
 TINY = RunSettings(
     environments=4,
@@ -136,23 +141,124 @@ def test_a_folder_with_other_settings_is_refused(trained: Run) -> None:
         Run(trained.folder, "bipegtransfer", 0, settings, quiet)
 
 
+def without_chain(trained: Run, folder: Path) -> Run:
+    """A run with the demonstrations and skills of another one."""
+    for name in ("demos", "skill-grasp", "skill-handover", "skill-release"):
+        store.save(folder / f"{name}.npz", store.load(trained.folder / f"{name}.npz"))
+    return run_in(folder)
+
+
 @pytest.mark.parametrize("method", ["viskill_sr", "viskill_dm", "viskill_ldm", "self_imitation"])
-def test_every_ablation_learns_over_the_same_skills(trained: Run, method: str) -> None:
-    policy = methods.learn(method, Run.open(trained.folder, quiet))
-    assert (trained.folder / f"chain-{method}.npz").is_file()
-    score = evaluate(trained.loop, policy, "reference", 4, 0)
-    assert score.episodes == 4
+def test_every_ablation_learns_another_chain_over_the_same_skills(
+    trained: Run, method: str, tmp_path: Path
+) -> None:
+    run = without_chain(trained, tmp_path)
+    policy = methods.learn(method, run)
+    assert {path.stem for path in tmp_path.glob("*.npz")} == {
+        *("demos", "skill-grasp", "skill-handover", "skill-release", f"chain-{method}")
+    }
+    for name in ("skill-grasp", "skill-handover", "skill-release"):
+        assert same(trained.folder / f"{name}.npz", tmp_path / f"{name}.npz")
+    assert not same(trained.folder / "chain-viskill.npz", tmp_path / f"chain-{method}.npz")
+    assert evaluate(run.loop, policy, "reference", 4, 0).episodes == 4
 
 
-@pytest.mark.parametrize("method", ["gcbc", "dex", "tstar"])
-def test_every_baseline_learns(trained: Run, method: str) -> None:
-    policy = methods.learn(method, Run.open(trained.folder, quiet))
-    score = evaluate(trained.loop, policy, "wide", 4, 0)
-    assert 0.0 <= score.success_rate <= 1.0
+def test_scripted_subgoals_need_nothing_but_skills(trained: Run, tmp_path: Path) -> None:
+    run = without_chain(trained, tmp_path)
+    policy = methods.learn("planned", run)
+    assert len(list(tmp_path.glob("*.npz"))) == 4
+    chosen = []
+    for _ in range(2):
+        fresh(run.loop, np.random.default_rng(0), ("reference",))
+        chosen.append(run_task(run.loop, policy).subgoal)
+    assert np.array_equal(*chosen)
+
+
+def rounds_of(run: Run, stage: str) -> list[dict[str, float]]:
+    lines = [json.loads(line) for line in (run.folder / "log.jsonl").read_text().splitlines()]
+    return [line for line in lines if line["stage"] == stage and "round" in line]
+
+
+def test_flat_dex_is_corrected_and_explores_as_long_as_skills_and_chain(
+    trained: Run, tmp_path: Path
+) -> None:
+    run = without_chain(trained, tmp_path)
+    methods.learn("dex", run)
+    rounds = rounds_of(run, "dex")
+    kinds = ["imitation" in line for line in rounds]
+    corrections, explored = TINY.skill.corrections, TINY.skill.rounds + TINY.amounts.rounds
+    assert kinds == [True] * (1 + corrections) + [False] * explored
+    assert "success" in rounds[-1]
+
+
+def test_gcbc_imitates_demonstrations_alone(trained: Run, tmp_path: Path) -> None:
+    run = without_chain(trained, tmp_path)
+    methods.learn("gcbc", run)
+    (line,) = rounds_of(run, "gcbc")
+    assert "imitation" in line and "exploring" not in line
+
+
+def test_tstar_trains_every_skill_on_as_long_as_the_chain_and_goes_on_to_the_same_bits(
+    trained: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    run = without_chain(trained, whole)
+    methods.learn("tstar", run)
+    for name in ("grasp", "handover", "release"):
+        rounds = rounds_of(run, f"tstar-{name}")
+        assert len(rounds) == TINY.amounts.rounds
+        assert not any("imitation" in line for line in rounds)
+
+    def log(run: Run, line: dict[str, object]) -> None:
+        if line["stage"] == "tstar-handover" and line.get("round") == 3:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Run, "log", log)
+        with pytest.raises(KeyboardInterrupt):
+            methods.learn("tstar", without_chain(trained, broken))
+    assert (broken / "tstar-handover.state.npz").is_file()
+    methods.learn("tstar", run_in(broken))
+    for name in ("grasp", "handover", "release"):
+        assert same(whole / f"tstar-{name}.npz", broken / f"tstar-{name}.npz")
+
+
+class SeenError(Exception):
+    """Carries what was seen."""
+
+
+def test_layouts_of_learning_selection_and_measuring_are_apart(
+    trained: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def reset(loop: VectorLoop, scenes: dict[int, Scene]) -> None:
+        raise SeenError([thing.T_task_object for thing in scenes[0].objects])
+
+    layouts, policy = [], methods.learn("viskill", Run.open(trained.folder, quiet))
+    assert isinstance(policy, Chained)
+    monkeypatch.setattr(VectorLoop, "reset", reset)
+    for seed in (0, 1):
+        demos = demos_of(trained)
+        data = SkillData(demos[0].clean, demos[0].corrected)
+        skill = SkillLearner(trained.loop, 0, data, ("reference",), TINY.skill, TINY.dex, seed)
+        chaining = Chaining(trained.task, TINY.chain, seed)
+        chain = ChainLearner(trained.loop, [], chaining, ("reference",), TINY.amounts, seed)
+        for draws in (
+            partial(record_demos, trained.loop, TINY.demos, ("reference",), seed),
+            skill._explore,
+            skill._test,
+            chain._explore,
+            chain._test,
+            partial(evaluate, trained.loop, policy, "reference", 4, seed),
+            partial(calibrate, trained.loop, policy, 4, seed),
+        ):
+            with pytest.raises(SeenError) as caught:
+                draws()
+            layouts.append(np.array(caught.value.args[0]).tobytes())
+    assert len(set(layouts)) == len(layouts) == 14
 
 
 def test_an_unknown_method_is_refused_with_those_there_are(trained: Run) -> None:
-    with pytest.raises(TrainingError, match=r"choose one of dex, gcbc, .*viskill_sr"):
+    with pytest.raises(TrainingError, match=r"choose one of dex, gcbc, planned, .*viskill_sr"):
         methods.learn("magic", trained)
 
 

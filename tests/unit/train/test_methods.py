@@ -1,20 +1,27 @@
 """What sets baselines and ablations apart from ViSkill, against values computed by hand."""
 
 import math
+from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import torch
 
 from viskill_deploy.sim.tasks import load_task
+from viskill_deploy.sim.tasks.base import Task
+from viskill_deploy.sim.vector_loop import VectorLoop
 from viskill_deploy.train.chaining import ChainSettings, Transitions
-from viskill_deploy.train.demos import SkillDemos
+from viskill_deploy.train.demos import SkillDemos, script
+from viskill_deploy.train.flat import as_many_steps
 from viskill_deploy.train.initiation import Likeness, Nearness
 from viskill_deploy.train.methods.tstar import WEIGHT, TerminalState
 from viskill_deploy.train.methods.viskill_dm import MeasuredChaining
 from viskill_deploy.train.methods.viskill_ldm import LearnedMeasures
 from viskill_deploy.train.replay import Batch, Episodes
-from viskill_deploy.train.whole_task import WholeTask, whole_demos
+from viskill_deploy.train.rollout import final_goals, plan_of
+from viskill_deploy.train.skill_learning import SkillSettings
+from viskill_deploy.train.whole_task import WholeScript, WholeTask, whole_demos
 
 TASK = load_task("bipegtransfer")
 SIZE = 35
@@ -187,3 +194,34 @@ def test_the_whole_task_has_one_skill_with_all_the_steps() -> None:
     whole = WholeTask(TASK)
     assert [skill.budget for skill in whole.skills] == [sum(s.budget for s in TASK.skills)]
     assert whole.cell is TASK.cell
+
+
+class TwoSteps:
+    """The task with skills of two steps."""
+
+    skills = tuple(replace(skill, budget=2) for skill in TASK.skills)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(TASK, name)
+
+
+def test_the_whole_tasks_teacher_is_the_script_of_the_skill_whose_turn_it_is() -> None:
+    task = cast(Task, TwoSteps())
+    loop = VectorLoop(cast(Task, WholeTask(task)), 2)
+    scenes = [TASK.sample_layout(np.random.default_rng(k), "reference") for k in range(2)]
+    loop.reset(dict(enumerate(scenes)))
+    obs = loop.observe()
+    plans = [plan_of(TASK, obs[i], loop.scenes()[i], np.random.default_rng(3)) for i in range(1)]
+    teacher = WholeScript(task, loop, np.random.default_rng(3))
+    last = final_goals(loop, obs)
+    for turn in (0, 0, 1, 1, 2, 2):
+        answer = teacher(obs, draw(0, 2, 9))
+        goal = last[0] if turn == 2 else plans[0][turn]
+        assert answer[0] == pytest.approx(script(TASK, turn)(obs[:1], goal[None])[0])
+
+
+def test_flat_methods_imitate_for_as_many_steps_as_all_skills_together() -> None:
+    skill = SkillSettings(imitation_steps=3, correction_steps=5, polish_steps=7)
+    flat = as_many_steps(skill, 4)
+    assert (flat.imitation_steps, flat.correction_steps, flat.polish_steps) == (12, 20, 28)
+    assert replace(flat, imitation_steps=3, correction_steps=5, polish_steps=7) == skill

@@ -3,24 +3,27 @@
 Y. Lee et al., "Adversarial Skill Chaining for Long-Horizon Robot Manipulation via Terminal State
 Regularization", CoRL 2021, on the DEX skills of the other methods. There is no chaining policy: the
 scripted plan gives the subgoals. Each skill in turn starts where the one before it now ends, and is
-rewarded at its end for looking like a demonstrated start of the next one. The weights that are kept
-are, as for every skill, those of the best test on the skill's own subgoal, the latest of equals.
+rewarded at its end for looking like a demonstrated start of the next one. It takes as many rounds
+as the chain of the other methods, and the weights that are kept are chosen as theirs are: by tests
+of the whole task, the latest of equals.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from viskill_deploy.core.types import FloatArray
-from viskill_deploy.sim.vector_loop import VectorLoop
 from viskill_deploy.train import store
+from viskill_deploy.train.chain_learning import Planned
 from viskill_deploy.train.initiation import Likeness
+from viskill_deploy.train.methods.planned import Scripted
 from viskill_deploy.train.optimiser import restore, state_of
 from viskill_deploy.train.replay import Batch, Episodes
-from viskill_deploy.train.rollout import Act, TaskPolicy, final_goals, plan_of
+from viskill_deploy.train.rollout import Act, Start, TaskPolicy, fresh, run_task
 from viskill_deploy.train.run import (
     Run,
     actor,
@@ -30,6 +33,7 @@ from viskill_deploy.train.run import (
     skills_of,
     starts_of,
 )
+from viskill_deploy.train.skill_learning import SkillSettings
 
 WEIGHT = 5.0
 """Reward lost at the end of an episode that looks nothing like a start of the next skill."""
@@ -71,47 +75,45 @@ class TerminalState:
         restore(tree, self._likeness.network, self._likeness.optimiser)
 
 
-class Scripted:
-    """Skills under the subgoals of the scripted plan, as drawn from a seed.
-
-    Args:
-        skills: in order.
-        seed: of the plan's handover noise.
-    """
-
-    def __init__(self, skills: list[Act], seed: int) -> None:
-        self._skills, self._seed = skills, seed
-        self._plans: FloatArray | None = None
-
-    def subgoals(self, index: int, obs: FloatArray, loop: VectorLoop) -> FloatArray:
-        """The plan's subgoals; the last skill's from the task's own goal."""
-        if index == 0 or self._plans is None:
-            scenes, layouts = loop.scenes(), int(1e6 * np.abs(obs).sum())
-            rng = np.random.default_rng((self._seed, 5, layouts))  # the same for the same episodes
-            plans = [plan_of(loop.task, obs[i], scenes[i], rng) for i in range(loop.count)]
-            self._plans = np.array(plans)
-        if index == len(loop.task.skills) - 1:
-            return final_goals(loop, obs)
-        return self._plans[:, index].copy()
-
-    def act(self, index: int, obs: FloatArray, goals: FloatArray) -> FloatArray:
-        """Actions of a skill."""
-        return self._skills[index](obs, goals)
-
-
 def learn(run: Run) -> TaskPolicy:
     """Skills, then every skill again in order, each regularised towards the next."""
     before, demos = skills_of(run), demos_of(run)
-    after: list[dict[str, Any]] = []
+    acts = [actor(run, tree["weights"]) for tree in before]
+    starts: tuple[Start, ...] = ()
     for index, skill in enumerate(run.task.skills):
         stage = f"tstar-{skill.name}"
         if not run.done(stage):
-            learner = skill_learner(run, index, starts_of(after[-1]) if after else ())
+            learner = skill_learner(run, index, starts)
+            learner.settings = _as_long_as_the_chain(run)
+            learner.examiner = functools.partial(_whole_tasks, run, tuple(acts), index)
             if index < len(run.task.skills) - 1:
-                starts = demos[index + 1].clean.obs[:, 0]
-                learner.shaping = TerminalState(Likeness(run.task, starts, run.seed + index))
+                demonstrated = demos[index + 1].clean.obs[:, 0]
+                learner.shaping = TerminalState(Likeness(run.task, demonstrated, run.seed + index))
             learner.go_on(before[index]["agent"], before[index]["weights"])
-            run.learn(stage, learner, run.settings.skill.test_every)
+            run.learn(stage, learner, learner.settings.test_every)
             finish_skill(run, stage, learner)
-        after.append(store.load(run.result(stage)))
-    return Scripted([actor(run, tree["weights"]) for tree in after], run.seed)
+        after = store.load(run.result(stage))
+        acts[index], starts = actor(run, after["weights"]), starts_of(after)
+    return Scripted(acts, run.seed)
+
+
+def _as_long_as_the_chain(run: Run) -> SkillSettings:
+    """As many rounds and tests as the chain of the other methods has; none is left out."""
+    amounts = run.settings.amounts
+    return dataclasses.replace(
+        run.settings.skill,
+        rounds=amounts.rounds,
+        test_every=amounts.test_every,
+        test_lots=amounts.test_lots,
+        passes=amounts.rounds + 1,
+        patience=amounts.rounds + 1,
+    )
+
+
+def _whole_tasks(
+    run: Run, acts: Sequence[Act], index: int, rng: np.random.Generator, act: Act
+) -> float:
+    """Success of whole tasks with `act` in place of one skill."""
+    skills = [act if i == index else other for i, other in enumerate(acts)]
+    plans = fresh(run.loop, rng, run.settings.distributions)
+    return float(run_task(run.loop, Planned(skills, plans)).success.mean())

@@ -1,0 +1,105 @@
+"""Whether methods stand in the paper's order, and whether that can be told at all."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+from viskill_deploy.train.paper import PUBLISHED, TITLES
+from viskill_deploy.train.results import Result
+
+SURE = 2.0
+"""Standard errors by which two success rates have to differ."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two methods on a task, over the seeds that both have run.
+
+    Attributes:
+        first, second: the methods, in the paper's order.
+        rates: their success rates.
+        difference: of the first's over the second's.
+        error: its standard error.
+    """
+
+    first: str
+    second: str
+    rates: tuple[float, float]
+    difference: float
+    error: float
+
+    @property
+    def verdict(self) -> str:
+        """`kept`, `reversed`, or `open` where the difference may be chance."""
+        if abs(self.difference) <= SURE * self.error:
+            return "open"
+        return "kept" if self.difference > 0.0 else "reversed"
+
+    @property
+    def told(self) -> str:
+        """Both methods with their rates."""
+        first, second = (f"{100.0 * rate:.1f}" for rate in self.rates)
+        return f"{TITLES[self.first]} and {TITLES[self.second]} ({first} and {second} %)"
+
+
+def compare(first: str, second: str, one: Sequence[Result], other: Sequence[Result]) -> Pair | None:
+    """Two methods over their common seeds; None if they have none.
+
+    Methods of a seed share demonstrations, skills and layouts, so that differences are taken seed
+    by seed. The error is that of these differences or that of the episodes counted, whichever is
+    larger; the latter takes (k + 1) / (n + 2) for a rate, so that 100 % of 100 is not held to be
+    certain.
+    """
+    ours, theirs = ({r.unit.seed: r.scores["reference"] for r in runs} for runs in (one, other))
+    seeds = sorted(ours.keys() & theirs.keys())
+    if not seeds:
+        return None
+    rates = [(ours[s].success_rate, theirs[s].success_rate) for s in seeds]
+    differences = [a - b for a, b in rates]
+    counted = 0.0
+    for figures in (ours, theirs):
+        n = sum(figures[s].episodes for s in seeds)
+        k = sum(figures[s].success_rate * figures[s].episodes for s in seeds)
+        likely = (k + 1.0) / (n + 2.0)
+        counted += likely * (1.0 - likely) / n
+    spread = statistics.variance(differences) / len(seeds) if len(seeds) > 1 else 0.0
+    return Pair(
+        first,
+        second,
+        (statistics.fmean(a for a, _ in rates), statistics.fmean(b for _, b in rates)),
+        statistics.fmean(differences),
+        math.sqrt(max(counted, spread)),
+    )
+
+
+def told_order(task: str, runs: Mapping[str, Sequence[Result]]) -> str:
+    """What there is to say about the paper's order on a task.
+
+    Args:
+        task: its name.
+        runs: the results of each method.
+    """
+    published = PUBLISHED[task]
+    ranked = sorted(published, key=lambda method: -published[method].success[0])
+    ran = [method for method in ranked if runs.get(method)]
+    pairs = [
+        pair
+        for a, b in combinations(ran, 2)
+        if (pair := compare(a, b, runs[a], runs[b])) is not None
+    ]
+    missing = [TITLES[method] for method in ranked if method not in ran]
+    unknown = f" Not run: {', '.join(missing)}." if missing else ""
+    if not pairs:
+        return f"cannot be said.{unknown}"
+    groups = {v: [p.told for p in pairs if p.verdict == v] for v in ("kept", "reversed", "open")}
+    turned = f" Reversed: {'; '.join(groups['reversed'])}." if groups["reversed"] else ""
+    chance = f" Cannot be told apart: {'; '.join(groups['open'])}." if groups["open"] else ""
+    holds = "no pair" if not groups["kept"] else str(len(groups["kept"]))
+    return (
+        f"of {len(pairs)} pairs {holds} as in the paper, {len(groups['reversed'])} reversed, "
+        f"{len(groups['open'])} too close to tell.{turned}{chance}{unknown}"
+    )
