@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from viskill_deploy.core.types import FloatArray, Scene
+from viskill_deploy.sim import vector_task
 from viskill_deploy.sim.tasks.base import AnyFloatArray, SkillSpec, Task
 from viskill_deploy.sim.vector_loop import VectorLoop
-from viskill_deploy.train.demos import SkillDemos, script
+from viskill_deploy.train.demos import SkillDemos
 from viskill_deploy.train.replay import Episodes, Float32Array
 from viskill_deploy.train.rollout import final_goals, plan_of
 
@@ -19,7 +20,10 @@ WHOLE = "whole"
 
 
 class WholeScript:
-    """The scripted controller of the whole task: of the skill whose turn it is at each step.
+    """The scripted controller of the whole task: of the skill whose turn it is, step by step.
+
+    The turn passes on when a skill's time is over, as in demonstrations, and it stands at its
+    subgoal; who is late is told to go on with it.
 
     Args:
         task: the task with its skills.
@@ -28,21 +32,42 @@ class WholeScript:
     """
 
     def __init__(self, task: Task, loop: VectorLoop, rng: np.random.Generator) -> None:
-        self._loop = loop
-        self._turns = [i for i, skill in enumerate(task.skills) for _ in range(skill.budget)]
-        self._scripts = [script(task, index) for index in range(len(task.skills))]
+        self._task, self._loop = task, loop
+        self._budgets = np.array([skill.budget for skill in task.skills])
         obs, scenes = loop.observe(), loop.scenes()
         self._plans = np.array([plan_of(task, obs[i], scenes[i], rng) for i in range(loop.count)])
-        self._step = 0
+        self._turn = np.zeros(loop.count, dtype=np.intp)
+        self._steps = np.zeros(loop.count, dtype=np.intp)
 
     def __call__(self, obs: AnyFloatArray, goals: AnyFloatArray) -> FloatArray:
         """Actions of the next step, (count, k); the task's goal is not asked for."""
         del goals
-        index, before = self._turns[self._step], self._turns[max(0, self._step - 1)]
-        if index == len(self._scripts) - 1 and before < index:
-            self._plans[:, index] = final_goals(self._loop, np.asarray(obs, np.float64))
-        self._step += 1
-        return self._scripts[index](obs, self._plans[:, index])
+        last = len(self._budgets) - 1
+        over = (self._steps >= self._budgets[self._turn]) & (self._turn < last)
+        if over.any():
+            seen = np.asarray(obs, np.float64)
+            passed_on = self._reached(seen, np.flatnonzero(over))
+            self._turn[passed_on] += 1
+            self._steps[passed_on] = 0
+            begun = passed_on[self._turn[passed_on] == last]
+            if len(begun):
+                self._plans[begun, last] = final_goals(self._loop, seen)[begun]
+        self._steps += 1
+        return vector_task.scripted_actions(self._task, self._names(), obs, self._subgoals())
+
+    def _names(self) -> list[str]:
+        return [self._task.skills[turn].name for turn in self._turn]
+
+    def _subgoals(self) -> FloatArray:
+        return self._plans[np.arange(len(self._turn)), self._turn]
+
+    def _reached(self, obs: FloatArray, rows: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+        """Those of the environments `rows` whose skill stands at its subgoal."""
+        names, subgoals = self._names(), self._subgoals()
+        achieved = vector_task.achieved(self._task, names, obs, self._loop.flags())
+        there = [self._task.skill_success(names[i], achieved[i], subgoals[i]) for i in rows]
+        mine: npt.NDArray[np.intp] = rows[np.array(there, dtype=bool)]
+        return mine
 
 
 class WholeTask:
