@@ -22,8 +22,9 @@ WHOLE = "whole"
 class WholeScript:
     """The scripted controller of the whole task: of the skill whose turn it is, step by step.
 
-    The turn passes on when a skill's time is over, as in demonstrations, and it stands at its
-    subgoal; who is late is told to go on with it.
+    The turn passes on as soon as a skill stands at its subgoal. It does not wait for the end of the
+    skill's time as demonstrations do: a policy that does not know the time would be called back
+    from where it rightly is.
 
     Args:
         task: the task with its skills.
@@ -33,26 +34,19 @@ class WholeScript:
 
     def __init__(self, task: Task, loop: VectorLoop, rng: np.random.Generator) -> None:
         self._task, self._loop = task, loop
-        self._budgets = np.array([skill.budget for skill in task.skills])
         obs, scenes = loop.observe(), loop.scenes()
         self._plans = np.array([plan_of(task, obs[i], scenes[i], rng) for i in range(loop.count)])
         self._turn = np.zeros(loop.count, dtype=np.intp)
-        self._steps = np.zeros(loop.count, dtype=np.intp)
 
     def __call__(self, obs: AnyFloatArray, goals: AnyFloatArray) -> FloatArray:
         """Actions of the next step, (count, k); the task's goal is not asked for."""
         del goals
-        last = len(self._budgets) - 1
-        over = (self._steps >= self._budgets[self._turn]) & (self._turn < last)
-        if over.any():
-            seen = np.asarray(obs, np.float64)
-            passed_on = self._reached(seen, np.flatnonzero(over))
-            self._turn[passed_on] += 1
-            self._steps[passed_on] = 0
-            begun = passed_on[self._turn[passed_on] == last]
-            if len(begun):
-                self._plans[begun, last] = final_goals(self._loop, seen)[begun]
-        self._steps += 1
+        seen, last = np.asarray(obs, np.float64), len(self._task.skills) - 1
+        passed_on = self._reached(seen, np.flatnonzero(self._turn < last))
+        self._turn[passed_on] += 1
+        begun = passed_on[self._turn[passed_on] == last]
+        if len(begun):
+            self._plans[begun, last] = final_goals(self._loop, seen)[begun]
         return vector_task.scripted_actions(self._task, self._names(), obs, self._subgoals())
 
     def _names(self) -> list[str]:

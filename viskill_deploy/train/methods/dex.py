@@ -1,7 +1,7 @@
 """DEX on the whole task at once: one policy, the task's own goal, no skills.
 
-It learns as a skill does: imitation, corrections by the script of the skill whose turn it is, DEX.
-Steps of the arms are as many as ViSkill's skills and chain may take together, and steps of
+It learns as a skill does: imitation, corrections by the script of the skill whose turn it is, DEX;
+from the first round on the best in tests of the whole task is kept. Steps of the arms are as many as ViSkill's skills and chain may take together, and steps of
 imitation as many as the skills take.
 """
 
@@ -20,4 +20,5 @@ def learn(run: Run) -> TaskPolicy:
     """One policy for the whole task."""
     skill = as_many_steps(run.settings.skill, len(run.task.skills))
     rounds = skill.rounds + run.settings.amounts.rounds
-    return learn_flat(run, "dex", dataclasses.replace(skill, rounds=rounds, patience=rounds))
+    never = 2 + skill.corrections + rounds
+    return learn_flat(run, "dex", dataclasses.replace(skill, rounds=rounds, patience=never))
