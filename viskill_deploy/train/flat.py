@@ -15,7 +15,7 @@ from viskill_deploy.train.hidden import hidden_robots
 from viskill_deploy.train.rollout import Act, TaskPolicy, final_goals, fresh, run_task
 from viskill_deploy.train.run import Run, actor, demos_of
 from viskill_deploy.train.skill_learning import SkillData, SkillLearner, SkillSettings
-from viskill_deploy.train.whole_task import WholeScript, WholeTask, whole_demos
+from viskill_deploy.train.whole_task import WholeTask, whole_demos
 
 
 class Flat:
@@ -41,13 +41,18 @@ class Flat:
         return self._act(obs, goals)
 
 
-def as_many_steps(skill: SkillSettings, skills: int) -> SkillSettings:
-    """The settings with as many steps of imitation as `skills` skills take together."""
+def uncorrected(skill: SkillSettings, skills: int) -> SkillSettings:
+    """The settings without corrections, with as many steps of imitation as all skills together.
+
+    A script that corrects a whole task spoils it: it knows by time or by subgoals reached which
+    skill's turn it is, the policy has only what it sees.
+    """
+    steps = skill.imitation_steps + max(0, skill.corrections - 1) * skill.correction_steps
     return dataclasses.replace(
         skill,
-        imitation_steps=skills * skill.imitation_steps,
-        correction_steps=skills * skill.correction_steps,
+        imitation_steps=skills * steps,
         polish_steps=skills * skill.polish_steps,
+        corrections=0,
     )
 
 
@@ -63,9 +68,6 @@ def learn_flat(run: Run, stage: str, settings: SkillSettings) -> TaskPolicy:
             robots=hidden_robots(run.task.cell, run.settings.hidden, run.settings.environments),
         )
 
-        def teacher(loop: VectorLoop, rng: np.random.Generator) -> Act:
-            return WholeScript(run.task, loop, rng)
-
         def examiner(rng: np.random.Generator, act: Act) -> float:
             fresh(loop, rng, run.settings.distributions)
             return float(run_task(loop, Flat(act)).success.mean())
@@ -78,7 +80,6 @@ def learn_flat(run: Run, stage: str, settings: SkillSettings) -> TaskPolicy:
             settings,
             run.settings.dex,
             run.seed,
-            teacher=teacher,
             examiner=examiner,
         )
         run.learn(stage, learner, settings.test_every)

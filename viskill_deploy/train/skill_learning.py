@@ -118,9 +118,6 @@ class Shaping(Protocol):
         ...
 
 
-Teacher = Callable[[VectorLoop, np.random.Generator], Act]
-"""(environments at the start of the skill, their dice) → who says what should have been done."""
-
 Examiner = Callable[[np.random.Generator, Act], float]
 """(dice of the layouts, policy) → part of the episodes in which it does what counts."""
 
@@ -138,7 +135,6 @@ class SkillLearner:
         dex: numbers of the algorithm.
         seed: of everything random.
         shaping: a further reward, for T-STAR.
-        teacher: who corrects; the skill's script if none is named.
         examiner: tests the policy instead of runs of the skill.
     """
 
@@ -150,7 +146,6 @@ class SkillLearner:
     dex: DexSettings
     seed: int
     shaping: Shaping | None = None
-    teacher: Teacher | None = None
     examiner: Examiner | None = None
     round: int = 0
     best: float = -1.0
@@ -208,9 +203,7 @@ class SkillLearner:
                 if self.shaping:
                     batches = [self.shaping.shaped(batch) for batch in batches]
                 line.update(self.agent.update(*batches))
-        whole = self.examiner is not None  # corrections may spoil a whole task
-        due = dex_rounds % s.test_every == 0 or dex_rounds == s.rounds
-        if due and (dex_rounds >= 0 or whole):
+        if dex_rounds >= 0 and (dex_rounds % s.test_every == 0 or dex_rounds == s.rounds):
             line["success"] = self._test()
         self.round += 1
         return line
@@ -248,10 +241,7 @@ class SkillLearner:
     def _correct(self) -> float:
         goals, _ = self.begin(self._rng, spread=True)
         noise = push(self.loop, self.settings.push, self._rng)
-        if self.teacher:
-            labels = self.teacher(self.loop, self._rng)
-        else:
-            labels = script(self.loop.task, self.index)
+        labels = script(self.loop.task, self.index)
         episodes, alive = run_skill(
             self.loop, self.index, self.agent.act, goals, self._rng, noise, labels
         )

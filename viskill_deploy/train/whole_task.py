@@ -9,59 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from viskill_deploy.core.types import FloatArray, Scene
-from viskill_deploy.sim import vector_task
-from viskill_deploy.sim.tasks.base import AnyFloatArray, SkillSpec, Task
-from viskill_deploy.sim.vector_loop import VectorLoop
+from viskill_deploy.sim.tasks.base import SkillSpec, Task
 from viskill_deploy.train.demos import SkillDemos
 from viskill_deploy.train.replay import Episodes, Float32Array
-from viskill_deploy.train.rollout import final_goals, plan_of
 
 WHOLE = "whole"
-
-
-class WholeScript:
-    """The scripted controller of the whole task: of the skill whose turn it is, step by step.
-
-    The turn passes on as soon as a skill stands at its subgoal. It does not wait for the end of the
-    skill's time as demonstrations do: a policy that does not know the time would be called back
-    from where it rightly is.
-
-    Args:
-        task: the task with its skills.
-        loop: environments at the start of the task.
-        rng: draws the plan's handover noise.
-    """
-
-    def __init__(self, task: Task, loop: VectorLoop, rng: np.random.Generator) -> None:
-        self._task, self._loop = task, loop
-        obs, scenes = loop.observe(), loop.scenes()
-        self._plans = np.array([plan_of(task, obs[i], scenes[i], rng) for i in range(loop.count)])
-        self._turn = np.zeros(loop.count, dtype=np.intp)
-
-    def __call__(self, obs: AnyFloatArray, goals: AnyFloatArray) -> FloatArray:
-        """Actions of the next step, (count, k); the task's goal is not asked for."""
-        del goals
-        seen, last = np.asarray(obs, np.float64), len(self._task.skills) - 1
-        passed_on = self._reached(seen, np.flatnonzero(self._turn < last))
-        self._turn[passed_on] += 1
-        begun = passed_on[self._turn[passed_on] == last]
-        if len(begun):
-            self._plans[begun, last] = final_goals(self._loop, seen)[begun]
-        return vector_task.scripted_actions(self._task, self._names(), obs, self._subgoals())
-
-    def _names(self) -> list[str]:
-        return [self._task.skills[turn].name for turn in self._turn]
-
-    def _subgoals(self) -> FloatArray:
-        return self._plans[np.arange(len(self._turn)), self._turn]
-
-    def _reached(self, obs: FloatArray, rows: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-        """Those of the environments `rows` whose skill stands at its subgoal."""
-        names, subgoals = self._names(), self._subgoals()
-        achieved = vector_task.achieved(self._task, names, obs, self._loop.flags())
-        there = [self._task.skill_success(names[i], achieved[i], subgoals[i]) for i in rows]
-        mine: npt.NDArray[np.intp] = rows[np.array(there, dtype=bool)]
-        return mine
 
 
 class WholeTask:

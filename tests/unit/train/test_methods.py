@@ -2,26 +2,22 @@
 
 import math
 from dataclasses import replace
-from typing import Any, cast
 
 import numpy as np
 import pytest
 import torch
 
 from viskill_deploy.sim.tasks import load_task
-from viskill_deploy.sim.tasks.base import Task
-from viskill_deploy.sim.vector_loop import VectorLoop
 from viskill_deploy.train.chaining import ChainSettings, Transitions
-from viskill_deploy.train.demos import SkillDemos, script
-from viskill_deploy.train.flat import as_many_steps
+from viskill_deploy.train.demos import SkillDemos
+from viskill_deploy.train.flat import uncorrected
 from viskill_deploy.train.initiation import Likeness, Nearness
 from viskill_deploy.train.methods.tstar import WEIGHT, TerminalState
 from viskill_deploy.train.methods.viskill_dm import MeasuredChaining
 from viskill_deploy.train.methods.viskill_ldm import LearnedMeasures
 from viskill_deploy.train.replay import Batch, Episodes
-from viskill_deploy.train.rollout import final_goals, plan_of
 from viskill_deploy.train.skill_learning import SkillSettings
-from viskill_deploy.train.whole_task import WholeScript, WholeTask, whole_demos
+from viskill_deploy.train.whole_task import WholeTask, whole_demos
 
 TASK = load_task("bipegtransfer")
 SIZE = 35
@@ -196,38 +192,8 @@ def test_the_whole_task_has_one_skill_with_all_the_steps() -> None:
     assert whole.cell is TASK.cell
 
 
-def test_the_whole_tasks_teacher_passes_the_turn_on_when_a_subgoal_is_reached() -> None:
-    """The first episode always stands at its subgoals, the second only from a certain step on."""
-    loop = VectorLoop(cast(Task, WholeTask(TASK)), 2)
-    scenes = [TASK.sample_layout(np.random.default_rng(k), "reference") for k in range(2)]
-    loop.reset(dict(enumerate(scenes)))
-    obs, seen = loop.observe(), loop.scenes()
-    dice = np.random.default_rng(3)
-    plans = [plan_of(TASK, obs[i], seen[i], dice) for i in range(2)]
-    late, now = 3, 0
-
-    class Told:
-        def __getattr__(self, name: str) -> Any:
-            return getattr(TASK, name)
-
-        def skill_success(self, skill: str, achieved: Any, subgoal: Any) -> bool:
-            first = any(np.array_equal(subgoal, goal) for goal in plans[0])
-            assert first or any(np.array_equal(subgoal, goal) for goal in plans[1])
-            return first or now >= late
-
-    teacher = WholeScript(cast(Task, Told()), loop, np.random.default_rng(3))
-    last = final_goals(loop, obs)
-    for turns in [(1, 0), (2, 0), (2, 0), (2, 1), (2, 2), (2, 2)]:
-        answer = teacher(obs, draw(0, 2, 9))
-        for row, turn in enumerate(turns):
-            goal = last[row] if turn == 2 else plans[row][turn]
-            one = slice(row, row + 1)
-            assert answer[row] == pytest.approx(script(TASK, turn)(obs[one], goal[None])[0])
-        now += 1
-
-
 def test_flat_methods_imitate_for_as_many_steps_as_all_skills_together() -> None:
-    skill = SkillSettings(imitation_steps=3, correction_steps=5, polish_steps=7)
-    flat = as_many_steps(skill, 4)
-    assert (flat.imitation_steps, flat.correction_steps, flat.polish_steps) == (12, 20, 28)
-    assert replace(flat, imitation_steps=3, correction_steps=5, polish_steps=7) == skill
+    skill = SkillSettings(imitation_steps=3, corrections=6, correction_steps=5, polish_steps=7)
+    flat = uncorrected(skill, 4)
+    assert (flat.imitation_steps, flat.polish_steps, flat.corrections) == (4 * 28, 28, 0)
+    assert uncorrected(replace(skill, corrections=0), 4).imitation_steps == 12

@@ -1,15 +1,15 @@
 """DEX on the whole task at once: one policy, the task's own goal, no skills.
 
-It learns as a skill does: imitation, corrections by the script of the skill whose turn it is, DEX;
-from the first round on the best in tests of the whole task is kept. Steps of the arms are as many as ViSkill's skills and chain may take together, and steps of
-imitation as many as the skills take.
+It learns as a skill does, but for corrections: imitation, then DEX; from imitation on the best in
+tests of the whole task is kept. Steps of the arms are as many as ViSkill's skills and chain may
+take together, and steps of imitation as many as the skills take.
 """
 
 from __future__ import annotations
 
 import dataclasses
 
-from viskill_deploy.train.flat import as_many_steps, learn_flat
+from viskill_deploy.train.flat import learn_flat, uncorrected
 from viskill_deploy.train.rollout import TaskPolicy
 from viskill_deploy.train.run import Run
 
@@ -18,7 +18,7 @@ NEEDS_SKILLS = False
 
 def learn(run: Run) -> TaskPolicy:
     """One policy for the whole task."""
-    skill = as_many_steps(run.settings.skill, len(run.task.skills))
-    rounds = skill.rounds + run.settings.amounts.rounds
-    never = 2 + skill.corrections + rounds
-    return learn_flat(run, "dex", dataclasses.replace(skill, rounds=rounds, patience=never))
+    skill = run.settings.skill
+    rounds = skill.corrections + skill.rounds + run.settings.amounts.rounds
+    flat = uncorrected(skill, len(run.task.skills))
+    return learn_flat(run, "dex", dataclasses.replace(flat, rounds=rounds, patience=rounds + 2))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from viskill_deploy.train.flat import as_many_steps, learn_flat
+from viskill_deploy.train.flat import learn_flat, uncorrected
 from viskill_deploy.train.rollout import TaskPolicy
 from viskill_deploy.train.run import Run
 
@@ -17,9 +17,5 @@ NEEDS_SKILLS = False
 
 def learn(run: Run) -> TaskPolicy:
     """One policy for the whole task, from demonstrations alone."""
-    skill = as_many_steps(run.settings.skill, len(run.task.skills))
-    steps = skill.imitation_steps + max(0, skill.corrections - 1) * skill.correction_steps
-    alone = dataclasses.replace(
-        skill, imitation_steps=steps, corrections=0, imitation_hindsight=0.8, rounds=0
-    )
-    return learn_flat(run, "gcbc", alone)
+    flat = uncorrected(run.settings.skill, len(run.task.skills))
+    return learn_flat(run, "gcbc", dataclasses.replace(flat, imitation_hindsight=0.8, rounds=0))
