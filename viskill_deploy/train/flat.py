@@ -44,8 +44,7 @@ class Flat:
 def uncorrected(skill: SkillSettings, skills: int) -> SkillSettings:
     """The settings without corrections, with as many steps of imitation as all skills together.
 
-    A script that corrects a whole task spoils it: it knows by time or by subgoals reached which
-    skill's turn it is, the policy has only what it sees.
+    Corrections of a whole task made tests of it worse, see docs/learning.md.
     """
     steps = skill.imitation_steps + max(0, skill.corrections - 1) * skill.correction_steps
     return dataclasses.replace(
