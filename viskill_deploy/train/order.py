@@ -95,11 +95,17 @@ def told_order(task: str, runs: Mapping[str, Sequence[Result]]) -> str:
     unknown = f" Not run: {', '.join(missing)}." if missing else ""
     if not pairs:
         return f"cannot be said.{unknown}"
-    groups = {v: [p.told for p in pairs if p.verdict == v] for v in ("kept", "reversed", "open")}
-    turned = f" Reversed: {'; '.join(groups['reversed'])}." if groups["reversed"] else ""
-    chance = f" Cannot be told apart: {'; '.join(groups['open'])}." if groups["open"] else ""
+    groups = {v: [p for p in pairs if p.verdict == v] for v in ("kept", "reversed", "open")}
+    turned = "; ".join(p.told for p in groups["reversed"])
+    alike: dict[str, list[str]] = {}
+    for p in groups["open"]:
+        alike.setdefault(TITLES[p.first], []).append(TITLES[p.second])
+    chance = "; ".join(f"{first} from {', '.join(others)}" for first, others in alike.items())
     holds = "no pair" if not groups["kept"] else str(len(groups["kept"]))
     return (
         f"of {len(pairs)} pairs {holds} as in the paper, {len(groups['reversed'])} reversed, "
-        f"{len(groups['open'])} too close to tell.{turned}{chance}{unknown}"
+        f"{len(groups['open'])} too close to tell."
+        + (f" Reversed: {turned}." if turned else "")
+        + (f" Cannot be told apart: {chance}." if chance else "")
+        + unknown
     )
