@@ -46,15 +46,24 @@ class Pair:
         return f"{TITLES[self.first]} and {TITLES[self.second]} ({first} and {second} %)"
 
 
-def compare(first: str, second: str, one: Sequence[Result], other: Sequence[Result]) -> Pair | None:
-    """Two methods over their common seeds; None if they have none.
+def compare(
+    first: str,
+    second: str,
+    one: Sequence[Result],
+    other: Sequence[Result],
+    distribution: str = "reference",
+) -> Pair | None:
+    """Two methods on layouts of a distribution over their common seeds; None if they have none.
 
     Methods of a seed share demonstrations, skills and layouts, so that differences are taken seed
     by seed. The error is that of these differences or that of the episodes counted, whichever is
     larger; the latter takes (k + 1) / (n + 2) for a rate, so that 100 % of 100 is not held to be
     certain.
     """
-    ours, theirs = ({r.unit.seed: r.scores["reference"] for r in runs} for runs in (one, other))
+    ours, theirs = (
+        {r.unit.seed: r.scores[distribution] for r in runs if distribution in r.scores}
+        for runs in (one, other)
+    )
     seeds = sorted(ours.keys() & theirs.keys())
     if not seeds:
         return None
@@ -76,12 +85,15 @@ def compare(first: str, second: str, one: Sequence[Result], other: Sequence[Resu
     )
 
 
-def told_order(task: str, runs: Mapping[str, Sequence[Result]]) -> str:
+def told_order(
+    task: str, runs: Mapping[str, Sequence[Result]], distribution: str = "reference"
+) -> str:
     """What there is to say about the paper's order on a task.
 
     Args:
         task: its name.
         runs: the results of each method.
+        distribution: of the layouts whose success is compared.
     """
     published = PUBLISHED[task]
     ranked = sorted(published, key=lambda method: -published[method].success[0])
@@ -89,7 +101,7 @@ def told_order(task: str, runs: Mapping[str, Sequence[Result]]) -> str:
     pairs = [
         pair
         for a, b in combinations(ran, 2)
-        if (pair := compare(a, b, runs[a], runs[b])) is not None
+        if (pair := compare(a, b, runs[a], runs[b], distribution)) is not None
     ]
     missing = [TITLES[method] for method in ranked if method not in ran]
     unknown = f" Not run: {', '.join(missing)}." if missing else ""

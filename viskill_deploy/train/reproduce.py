@@ -48,9 +48,9 @@ This page is built by `{command}` from the files in `{source}`, which
 `viskill sweep sweeps/paper.toml` writes. They come from commit {commits}.
 """
 
-ORDER = """Two methods count as told apart if their success on `reference` layouts, over the seeds
-that both have run, differs by more than two standard errors (`viskill_deploy/train/order.py`).
-Methods that do the task every time cannot be ranked by success.
+ORDER = """Two methods count as told apart if their success, over the seeds that both have run,
+differs by more than two standard errors (`viskill_deploy/train/order.py`). Methods that do the task
+every time cannot be ranked by success. The paper's layouts are `reference`; `wide` ones are ours.
 """
 
 
@@ -186,13 +186,14 @@ def _row(runs: Sequence[Result], method: str, paper: Published | None) -> list[s
     ]
 
 
-def spread(values: Iterable[float | None]) -> str:
+def spread(values: Iterable[float | None], digits: int = 2) -> str:
     """Mean ± sample standard deviation of the numbers that are there."""
     known = [value for value in values if value is not None]
     if not known:
         return "-"
     mean = statistics.fmean(known)
-    return f"{mean:.2f}" + (f" ± {statistics.stdev(known):.2f}" if len(known) > 1 else "")
+    deviation = f" ± {statistics.stdev(known):.{digits}f}" if len(known) > 1 else ""
+    return f"{mean:.{digits}f}{deviation}"
 
 
 def _published(pair: tuple[float, float | None]) -> str:
@@ -201,9 +202,11 @@ def _published(pair: tuple[float, float | None]) -> str:
 
 
 def order(results: Results) -> list[str]:
-    """For each task, the pairs of methods that stand otherwise than in the paper."""
+    """For each task, then again on wide layouts, how methods stand that the paper has ranked."""
     return [
-        f"**{TASKS[task]}**: {told_order(task, {m: results.of(task, m) for m in published})}"
+        f"**{TASKS[task]}**{note}: "
+        + told_order(task, {m: results.of(task, m) for m in published}, distribution)
+        for distribution, note in (("reference", ""), ("wide", ", wide layouts"))
         for task, published in PUBLISHED.items()
     ]
 
@@ -217,7 +220,7 @@ def _values(results: Results, figure: str) -> str:
             rows.append([title, *[NOT_RUN] * 5])
             continue
         groups = pooled(known).groups
-        errors = spread(part.error for part in known)
+        errors = spread((part.error for part in known), 3)
         rows.append([title, str(sum(part.episodes for part in known)), errors])
         rows[-1] += [_group(groups[name]) for name in ("low", "middle", "high")]
     head = ["task", "episodes", "expected calibration error", "success, low value"]

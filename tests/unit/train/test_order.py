@@ -71,3 +71,13 @@ def test_every_pair_and_what_was_not_run_is_told() -> None:
     told = told_order(TASK, made)
     assert "Cannot be told apart: ViSkill from T-STAR, DEX; T-STAR from DEX. Not run: GCBC." in told
     assert told_order(TASK, {}) == "cannot be said. Not run: ViSkill, T-STAR, GCBC, DEX."
+
+
+def test_each_distribution_is_compared_for_itself() -> None:
+    made = {
+        "viskill": [result(TASK, "viskill", 0, 1.0, wide=0.9)],
+        "tstar": [result(TASK, "tstar", 0, 1.0, wide=0.4)],
+    }
+    assert told_order(TASK, made).startswith("of 1 pairs no pair as in the paper")
+    assert told_order(TASK, made, "wide").startswith("of 1 pairs 1 as in the paper")
+    assert told_order(TASK, made, "elsewhere").startswith("cannot be said")

@@ -55,12 +55,15 @@ def test_means_stand_with_their_sample_deviation() -> None:
 
 
 def test_whether_the_order_of_the_paper_holds_is_told_of_every_task(tmp_path: Path) -> None:
-    transfer, board, panel = order(read_results(written(tmp_path, MADE)))
+    transfer, board, panel, *wide = order(read_results(written(tmp_path, MADE)))
     assert transfer.startswith("**BiPegTransfer**: of 10 pairs")
     assert "ViSkill from ViSkill-SR" in transfer.split("Cannot be told apart")[1]
     assert "T-STAR" not in transfer.split("ViSkill from ")[1].split(";")[0]
     assert "cannot be said" in board
     assert panel.endswith("Not run: ViSkill, T-STAR, GCBC, DEX.")
+    assert [line.split(":")[0] for line in wide] == [
+        f"**{task}**, wide layouts" for task in ("BiPegTransfer", "BiPegBoard", "MatchBoardPanel")
+    ]
 
 
 def test_results_of_other_settings_do_not_go_into_one_table(tmp_path: Path) -> None:
