@@ -16,7 +16,10 @@ from rich.text import Text
 
 from viskill_deploy.observe.faults import struck_rows
 from viskill_deploy.observe.starts import Result
-from viskill_deploy.observe.summary import SkillRow, facts, margin_rows, skill_rows
+from viskill_deploy.observe.summary import MarginRow, SkillRow, facts, margin_rows, skill_rows
+
+TIGHT = 0.25
+"""Margins below this are shown each for itself; the report shows all."""
 
 
 class Advance(Protocol):
@@ -51,9 +54,12 @@ def plain_lines(result: Result) -> Iterator[str]:
         yield f"{fact.name.lower()}: {fact.text}"
     for skill in skill_rows(result):
         yield _skill_line(skill)
-    for margin in margin_rows(result):
+    tight, others = _tight(result)
+    for margin in tight:
         where = f" at {margin.where}" if margin.where else ""
         yield f"smallest margin to {margin.label}: {margin.text}{where}"
+    if others:
+        yield f"smallest margin to {others}"
     for row in struck_rows(result):
         yield f"fault {row.fault}: {row.what}; declared: {row.declared}; seen: {row.seen}"
     for note in result.get("notes") or ():
@@ -98,13 +104,25 @@ def _skill_table(result: Result) -> Table:
     return table
 
 
+def _tight(result: Result) -> tuple[list[MarginRow], str]:
+    """The margins to show, and words for all others with the smallest of them."""
+    rows = margin_rows(result)
+    tight = [row for row in rows if row.margin < TIGHT]
+    others = rows[len(tight) :]
+    return tight, f"all other rules: {others[0].text} or more" if others else ""
+
+
 def _margin_table(result: Result) -> Table:
-    table = Table(title="Smallest margin to every limit", title_justify="left")
+    tight, others = _tight(result)
+    table = Table(title="Smallest margins", title_justify="left", caption=others)
     table.add_column("limit", style="bold")
     table.add_column("left", justify="right")
-    table.add_column("where")
-    for row in margin_rows(result):
-        table.add_row(row.label, row.text, row.where, style="red" if row.margin < 0 else "")
+    placed = any(row.where for row in tight)
+    if placed:
+        table.add_column("where")
+    for row in tight:
+        cells = (row.label, row.text, row.where) if placed else (row.label, row.text)
+        table.add_row(*cells, style="red" if row.margin < 0 else "")
     return table
 
 

@@ -202,6 +202,7 @@ def test_without_a_terminal_the_tables_are_plain_lines():
     assert lines[0] == "BiPegTransfer · closed-loop · wide, 2 episodes"
     assert "success: 50%" in lines
     assert "smallest margin to tip speed (S10): 10.0 % at PSM1" in lines
+    assert "smallest margin to all other rules: 50.0 % or more" in lines
     assert "skill reach: 15 (at most 20) steps, 1 of 2, stretch 1.10×" in lines
     assert "\x1b" not in console.file.getvalue()
 
@@ -210,7 +211,8 @@ def test_on_a_terminal_the_tables_are_boxes():
     console = Console(file=io.StringIO(), width=100, force_terminal=True)
     tables.print_tables(RESULT, console)
     text = console.file.getvalue()
-    assert "Smallest margin to every limit" in text
+    assert "Smallest margins" in text
+    assert "all other rules: 50.0 % or more" in text
     assert "Skills" in text
 
 
