@@ -165,7 +165,7 @@ def main() -> None:
     with (
         tempfile.TemporaryDirectory() as folder,
         running("serve", "crtk", "--homing", "stay", *way),
-        running("guard", *way, "--output", f"{folder}/guard"),
+        running("guard", "--simulated", *way, "--output", f"{folder}/guard"),
     ):
         realtime.prepare()  # a client that is late would be taken for a slow guard
         client = Client(open_transport(args.transport, Network(args.domain, LOOPBACK)))

@@ -109,11 +109,12 @@ def killed(who: str, onlooker: Onlooker, domain: int, folder: Path) -> float:
     """When client or guard was killed in mid-motion; 0.0 where the arms were held before."""
     way = ("--transport", "dds", "--domain", str(domain), "--interface", LOOPBACK)
     viskill = [sys.executable, "-m", "viskill_deploy.cli.main"]
+    guarding = ["guard", "--simulated", *way]
     client = [sys.executable, ROOT / "tests/support/dying_client.py", str(domain)]
     pipe = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL}
     with (
         subprocess.Popen([*viskill, "serve", "crtk", "--homing", "stay", *way], **pipe) as robot,
-        subprocess.Popen([*viskill, "guard", *way, "--output", str(folder)], **pipe) as guard,
+        subprocess.Popen([*viskill, *guarding, "--output", str(folder)], **pipe) as guard,
         subprocess.Popen(client, stdout=subprocess.PIPE, text=True) as dying,
     ):
         try:

@@ -49,7 +49,8 @@ def test_a_served_robot_and_a_guard_before_it_are_not_reached_from_outside(tmp_p
     one, two = tmp_path / "serve.json", tmp_path / "guard.json"
     with running(one, "serve", "crtk") as robot:
         has_none(robot, one, "stop with Ctrl-C")
-        with running(two, "guard", "--output", str(tmp_path / "guard")) as guard:
+        words = ("guard", "--simulated", "--output", str(tmp_path / "guard"))
+        with running(two, *words) as guard:
             has_none(guard, two, "stop with Ctrl-C")
 
 

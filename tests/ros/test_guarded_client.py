@@ -49,9 +49,10 @@ def test_a_client_that_we_did_not_write_is_passed_stopped_and_told(
 ) -> None:
     """A machine that is late holds the arms before the leap, and the client hears that, too."""
     way = ("--transport", ros, "--domain", str(DOMAIN), "--interface", LOOPBACK)
+    rate = ("--rate", f"{RATE_HZ:g}")
     with (
         running("serve", "crtk", "--homing", "stay", *way) as robot,
-        running("guard", "--rate", f"{RATE_HZ:g}", "--output", str(tmp_path / "run"), *way),
+        running("guard", "--simulated", *rate, "--output", str(tmp_path / "run"), *way),
     ):
         client = NativeClient(ros, DOMAIN, "guarded/PSM1")
         try:

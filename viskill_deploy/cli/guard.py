@@ -19,6 +19,7 @@ from viskill_deploy.core import realtime
 from viskill_deploy.core.calibration_files import is_simulated
 from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.description import CellDescription, load_cell
+from viskill_deploy.core.errors import CalibrationError
 from viskill_deploy.core.types import Mode, Verdict
 from viskill_deploy.drivers.crtk.driver import CONSOLE, CrtkDriver, CrtkOptions
 from viskill_deploy.drivers.crtk.opening import Network, open_transport
@@ -30,7 +31,7 @@ from viskill_deploy.runtime.guard import Guard, GuardCounts
 from viskill_deploy.runtime.interrupting import interruptible
 from viskill_deploy.runtime.preflight import calibrated_cell
 
-EXAMPLE = "Example: viskill guard --cell bipegtransfer --transport ros2 --prefix guarded"
+EXAMPLE = "Example: viskill guard --cell lab.toml --calibration lab.json --transport ros2"
 
 
 def command(
@@ -48,26 +49,30 @@ def command(
     rate: Annotated[
         float, typer.Option(min=100, max=1000, help="Setpoints a second that clients send, Hz.")
     ] = 200.0,
+    simulated: Annotated[
+        bool,
+        typer.Option(
+            "--simulated",
+            help="The robot is a simulated one, such as that of viskill serve crtk: take the "
+            "simulated cell as it is.",
+        ),
+    ] = False,
     output: Annotated[Path | None, typer.Option(help="Folder for the recording.")] = None,
 ) -> None:
     """Let other CRTK programs move a robot through the gate, until Ctrl-C.
 
     They send servo_jp (or servo_cp) and jaw/servo_jp to arms under the prefix. What the gate passes
-    goes on bit for bit; all else ends in its own stop of all arms. Nothing moves before the
-    operator presses the pedal; pressed anew, it lets a held run go on. What has ended a run is
-    cleared here, by typing "reset".
+    goes on bit for bit; all else ends in its own stop of all arms. Nothing but homing, which a
+    client asks for, moves an arm before the operator presses the pedal; pressed anew, it lets a
+    held run go on. What has ended a run is cleared here, by typing "reset".
     """
     if not prefix.strip("/"):
         raise typer.BadParameter("clients need a name that the robot does not have; give --prefix")
-    found = calibrated_cell(load_cell(cell), calibration, wall_time())
+    nominal = load_cell(cell)
+    _insist_on_its_own_cell(nominal, simulated)
+    found = calibrated_cell(nominal, calibration, wall_time())
     described = found.value
     print(f"calibration:  {found.text}", flush=True)
-    if is_simulated(described):
-        print(
-            "its arms are simulated ones: on a robot, name its own cell with --cell and its "
-            "calibration with --calibration, or the gate looks in the wrong place",
-            flush=True,
-        )
     network = Network(domain, interface, "viskill_guard")
     driver = connect(described, transport.value, network, CrtkOptions(1.0 / rate, pedal))
     with contextlib.ExitStack() as opened:
@@ -80,6 +85,26 @@ def command(
         f"passed: {counts.passed} cycles; stopped: {counts.stopped} times; lost on the way and "
         f"judged: {counts.filled}\nrecording: {folder / 'recording'}"
     )
+
+
+def _insist_on_its_own_cell(cell: CellDescription, simulated: bool) -> None:
+    """Without its own cell and calibration the gate would look for a robot's arms elsewhere.
+
+    Raises:
+        CalibrationError: the cell is a simulated one, and nobody has said that the robot is, too.
+        BadParameter: the robot is said to be simulated, and the cell is a real one.
+    """
+    if is_simulated(cell) and not simulated:
+        raise CalibrationError(
+            f"{cell.files[0]}: its arms are simulated, and on a robot the gate would look for them "
+            "in the wrong place; name the robot's own cell, with the serial numbers of its arms, "
+            "with --cell and its calibration with --calibration. If the robot is a simulated one, "
+            "such as that of `viskill serve crtk`, add --simulated"
+        )
+    if simulated and not is_simulated(cell):
+        raise typer.BadParameter(
+            f"--simulated: the arms of {cell.files[0]} have serial numbers; leave it out"
+        )
 
 
 def _guarded(
