@@ -239,9 +239,10 @@ def _agree(
     arms = " and ".join(arm.name for arm in cell.arms)
     terminal.tell(
         f"{arms} are enabled and homed, go to their start pose and then all over their workspace, "
-        "above the board; each motion needs the pedal. Take instruments, things and the board out "
-        "of the way: tips that are not calibrated may be 15 mm from where they are meant to be. "
-        "Keep a hand on the emergency stop: this program is none"
+        "above where the board is meant to be. Homing may move an arm without the pedal; every "
+        "other motion waits for it. Take the board and everything on it away; leave the "
+        "instruments in. Tips that are not calibrated may be 15 mm from where they are meant to "
+        "be. Keep a hand on the emergency stop: this program is none"
     )
     if yes:
         return

@@ -135,9 +135,10 @@ def command(
 ) -> None:
     """Execute a policy bundle on a robot: preflight, consent, approach, run, retreat.
 
-    Nothing is switched on before you have typed the bundle's name, and nothing moves before the
-    consent pedal is pressed. Ctrl-C brings the arms to rest and takes their power. Exits with 3
-    when a file or the plan is refused, 4 for the robot, 5 after a safety stop, 130 after Ctrl-C.
+    Nothing is switched on before you have typed the bundle's name. Typing it enables and homes the
+    arms, and homing may move an arm without the pedal, as on any dVRK; every other motion waits for
+    the consent pedal. Ctrl-C brings the arms to rest and takes their power. Exits with 3 when a
+    file or the plan is refused, 4 for the robot, 5 after a safety stop, 130 after Ctrl-C.
     """
     options = ExecuteOptions(
         mode="plan" if mode is ModeName.PLAN else "closed-loop",
@@ -255,8 +256,9 @@ def _say_what_happens(prepared: Prepared, options: ExecuteOptions, terminal: Ter
     where = f", {1e3 * options.lift_m:g} mm above the board" if options.lift_m else ""
     terminal.tell(
         f"{arms} are enabled and homed, go to their start pose, run {prepared.name}{where} at "
-        f"{100 * options.speed:g} % of full speed, and go back; each motion needs the pedal. "
-        "Keep a hand on the emergency stop: this program is none"
+        f"{100 * options.speed:g} % of full speed, and go back. Homing may move an arm without the "
+        "pedal; every other motion waits for it. Keep a hand on the emergency stop: this program "
+        "is none"
     )
 
 

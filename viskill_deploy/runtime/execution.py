@@ -1,7 +1,8 @@
 """A bundle on a robot: looked at, agreed to, approached, run, retreated from, switched off.
 
-The same for every driver. Nothing is switched on before a person has said so; nothing moves without
-the consent that the robot's own input brings; every motion is judged as a whole before it begins.
+The same for every driver. Nothing is switched on before a person has said so. Homing, which is the
+robot's own, may move an arm then; nothing else moves without the consent that the robot's own input
+brings, and every motion is judged as a whole before it begins.
 """
 
 from __future__ import annotations

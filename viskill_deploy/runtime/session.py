@@ -126,7 +126,7 @@ class Session:
             self.come_to_rest()
 
     def make_ready(self) -> CellState:
-        """Enables and homes the arms; returns their state. Nothing moves yet."""
+        """Enables and homes the arms, which may move them; returns their state."""
         if not self.driver.capabilities.stepped:
             realtime.settle()  # takes its time: before arms have power and count on us
         self.driver.enable()
