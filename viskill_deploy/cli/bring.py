@@ -10,6 +10,7 @@ import typer
 
 from viskill_deploy.bundle.format import load_bundle
 from viskill_deploy.cli.names import FrameName, PointName
+from viskill_deploy.cli.sources import Cell
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import MissingExtraError
 from viskill_deploy.motion.frames import Label
@@ -77,7 +78,7 @@ def trajectory(
         Path, typer.Argument(help="A .csv, .npz, .mcap, .bag, or the folder of a bag.")
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The plan file, *.plan.json.")],
-    cell: Annotated[str, typer.Option(help="Whose arms shall follow it.")],
+    cell: Cell,
     frame: Annotated[
         FrameName | None, typer.Option(help="Where positions are seen from, if the file is silent.")
     ] = None,

@@ -27,6 +27,7 @@ from viskill_deploy.calibrate.trial_lines import add_line, read_lines
 from viskill_deploy.calibrate.truths import MARKER_M, draw_robot, scaled
 from viskill_deploy.cli import collect, measure_scene
 from viskill_deploy.cli.poses_found import port_facts, port_words, pose_facts, pose_words
+from viskill_deploy.cli.sources import Cell
 from viskill_deploy.cli.touching import TOUCHES
 from viskill_deploy.core.arm_errors import with_errors
 from viskill_deploy.core.calibration_files import calibrated, read_calibration, write_calibration
@@ -40,9 +41,7 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-CELL = Annotated[
-    str, typer.Option("--cell", "--robot", help="A name in robots/cells, or the path of a file.")
-]
+FIT_EXAMPLE = "Example: viskill calibrate fit runs/points --robot lab.toml -o lab.json"
 POINT = Annotated[
     float | None,
     typer.Option(
@@ -61,7 +60,7 @@ app.command("scene", epilog=measure_scene.EXAMPLE)(measure_scene.command)
 def truth_command(
     seed: Annotated[int, typer.Argument(min=0, help="What the robot's errors are drawn from.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The file to write.")],
-    cell: CELL = "bipegtransfer",
+    cell: Cell = "bipegtransfer",
     scale: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Its errors, as a part of the usual.")
     ] = 1.0,
@@ -73,11 +72,11 @@ def truth_command(
     print(output)
 
 
-@app.command("fit", epilog="Example: viskill calibrate fit runs/points -o calibration/my_cell.json")
+@app.command("fit", epilog=FIT_EXAMPLE)
 def fit_command(
     folder: Annotated[Path, typer.Argument(help="Measurements, <arm>.csv of every arm.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The calibration to write.")],
-    cell: CELL = "bipegtransfer",
+    cell: Cell = "bipegtransfer",
     point: POINT = None,
     calibration: Annotated[
         Path | None,
@@ -143,7 +142,7 @@ def _fit_board(
 @app.command("port", epilog="Example: viskill calibrate port runs/shaft --cell bodytrainer")
 def port_command(
     folder: Annotated[Path, typer.Argument(help="Shafts, <arm>_shaft.csv of every arm.")],
-    cell: CELL = "bipegtransfer",
+    cell: Cell = "bipegtransfer",
     json_: JSON = False,
 ) -> None:
     """Find the ports of a cell's arms, for `port_in_base_m` of its file.
@@ -166,7 +165,7 @@ def report_command(
     output: Annotated[Path, typer.Option("-o", "--output", help="The page to write.")] = Path(
         "calibration.html"
     ),
-    cell: CELL = "bipegtransfer",
+    cell: Cell = "bipegtransfer",
     point: POINT = None,
 ) -> None:
     """Show a fit: residuals before and after, what the data tell, what to expect at the pegs."""
@@ -183,7 +182,7 @@ def report_command(
 def study_command(
     truths: Annotated[int, typer.Option(min=1, help="How many hidden robots.")] = 5,
     seed: Annotated[int, typer.Option(min=0, help="Of truths, poses and noise.")] = 0,
-    cell: CELL = "bipegtransfer",
+    cell: Cell = "bipegtransfer",
     samples: Annotated[int, typer.Option(min=8, help="Rows of measurements an arm.")] = 300,
     points: Annotated[int, typer.Option(min=8, help="Points that an arm touches.")] = TOUCHES,
     only: Annotated[

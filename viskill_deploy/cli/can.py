@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from viskill_deploy.cli.run_folder import new_folder
+from viskill_deploy.cli.sources import Robot
 from viskill_deploy.cli.terminal import Terminal
 from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.description import CellDescription
@@ -60,9 +61,7 @@ def check(
         InterfaceChoice | None,
         typer.Option(help="What the buses are, if not what the file says."),
     ] = None,
-    robot: Annotated[
-        str, typer.Option(help="Cell, by name or path of a TOML file; the CAN file's by default.")
-    ] = "",
+    robot: Robot = "",
     simulated: Annotated[
         bool, typer.Option("--simulated", help="On simulated drives; the simulator is the witness.")
     ] = False,

@@ -29,7 +29,7 @@ from viskill_deploy.cli.reaching import (
     TransportChoice,
     Yes,
 )
-from viskill_deploy.cli.sources import Truth
+from viskill_deploy.cli.sources import Cell, Truth
 from viskill_deploy.cli.terminal import Terminal
 from viskill_deploy.cli.touching import (
     TOUCH_NOISE_M,
@@ -73,10 +73,7 @@ class Source(enum.StrEnum):
 
 def command(
     folder: Annotated[Path, typer.Argument(help="Where the measurements go, a file an arm.")],
-    cell: Annotated[
-        str,
-        typer.Option("--cell", "--robot", help="A name in robots/cells, or the path of a file."),
-    ] = "bipegtransfer",
+    cell: Cell = "bipegtransfer",
     source: Annotated[
         Source,
         typer.Option(
@@ -87,7 +84,7 @@ def command(
     driver: Reached = RobotChoice.LOOPBACK,
     samples: Annotated[int, typer.Option(min=8, help="Rows of the tracker, an arm.")] = 300,
     points: Annotated[int, typer.Option(help="Points to touch, an arm; at least 8.")] = TOUCHES,
-    seed: Annotated[int, typer.Option(min=0, help="Of poses, and of simulated noise.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of poses, and of simulated noise.")] = 0,
     tracker: Annotated[
         str, typer.Option(help="Topics of a tracker of the tips, PoseStamped in the task frame.")
     ] = "/tracker/{arm}/measured_cp",
@@ -114,7 +111,7 @@ def command(
         float | None,
         typer.Option(
             min=0,
-            help="Of the loopback's tracker, m, the truth's by default; or 0.0003 of a touch.",
+            help="Noise of the loopback's tracker, m, the truth's by default; 0.0003 of a touch.",
         ),
     ] = None,
     outliers: Annotated[

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from viskill_deploy.cli.names import FrameName, PointName
+from viskill_deploy.cli.sources import Cell
 from viskill_deploy.core.description import CellDescription, load_cell, rpy_matrix
 from viskill_deploy.core.errors import KinematicsError
 from viskill_deploy.core.types import FloatArray
@@ -26,8 +27,11 @@ EXAMPLE = (
 
 
 def command(
-    position: Annotated[tuple[float, float, float], typer.Argument(help="x y z.")],
-    cell: Annotated[str, typer.Option(help="Cell that the arm stands in.")],
+    position: Annotated[
+        tuple[float, float, float],
+        typer.Argument(help="x y z, after all options and -- where one of them is negative."),
+    ],
+    cell: Cell,
     arm: Annotated[str, typer.Option(help="Whose tool it is.")],
     frame: Annotated[FrameName, typer.Option(help="What the numbers are seen from.")],
     control_point: Annotated[PointName, typer.Option(help="What the position is about.")],

@@ -50,8 +50,8 @@ from viskill_deploy.runtime.robots import RobotOptions, connected, things_of
 from viskill_deploy.sim.world import WorldOptions
 
 EXAMPLE = (
-    "Example: viskill execute policies/bipegtransfer-viskill --calibration calibration/lab.json "
-    "--scene scene.toml --rehearse"
+    "Example: viskill execute policies/bipegtransfer-viskill --driver crtk --robot lab.toml "
+    "--calibration lab.json --scene scene.toml --rehearse"
 )
 
 HEIGHT = re.compile(r"([0-9]+(?:\.[0-9]+)?) ?(mm|cm|m)")
@@ -105,16 +105,20 @@ def command(
     ] = False,
     air: Annotated[
         str,
-        typer.Option(help="Run the whole plan so high above the board, with nothing: 30mm."),
+        typer.Option(help="Run the whole plan this high above an empty board, such as 30mm."),
     ] = "",
     step: Annotated[
-        StepName | None, typer.Option(help="Wait for Enter before every skill, or every waypoint.")
+        StepName | None, typer.Option(help="Pause for Enter before every skill, or every waypoint.")
     ] = None,
     retries: Annotated[
-        int, typer.Option(min=0, help="How often a skill is tried again after a lost grasp.")
+        int,
+        typer.Option(
+            min=0,
+            help="How often a skill is tried again after a lost grasp or where the value is low.",
+        ),
     ] = 1,
     seed: Annotated[
-        int, typer.Option(min=0, help="Of the simulated cell, and of scripted subgoals.")
+        int, typer.Option(min=0, help="Seed of the simulated cell, and of scripted subgoals.")
     ] = 0,
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Loopback in its own process, against the clock.")

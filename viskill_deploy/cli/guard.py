@@ -13,7 +13,7 @@ import typer
 
 from viskill_deploy.cli.reaching import Carrier, Domain, Interface, Pedal, TransportChoice
 from viskill_deploy.cli.run_folder import new_folder
-from viskill_deploy.cli.sources import Calibration
+from viskill_deploy.cli.sources import Calibration, Cell
 from viskill_deploy.cli.terminal import lines_typed
 from viskill_deploy.core import realtime
 from viskill_deploy.core.calibration_files import is_simulated
@@ -35,16 +35,14 @@ EXAMPLE = "Example: viskill guard --cell lab.toml --calibration lab.json --trans
 
 
 def command(
-    cell: Annotated[
-        str, typer.Option(help="Cell of the robot: a name in robots/cells, or a TOML file's path.")
-    ] = "bipegtransfer",
+    cell: Cell = "bipegtransfer",
     calibration: Calibration = None,
     transport: Carrier = TransportChoice.AUTO,
     domain: Domain = None,
     interface: Interface = "",
     pedal: Pedal = CONSOLE,
     prefix: Annotated[
-        str, typer.Option(help='Clients find the arms under it, such as "/guarded/PSM1".')
+        str, typer.Option(help='Prefix of the arms that clients see: "/guarded/PSM1".')
     ] = "guarded",
     rate: Annotated[
         float, typer.Option(min=100, max=1000, help="Setpoints a second that clients send, Hz.")

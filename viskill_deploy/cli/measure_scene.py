@@ -26,7 +26,7 @@ from viskill_deploy.calibrate.truths import hidden_robot
 from viskill_deploy.cli import touching
 from viskill_deploy.cli.poses_found import mean_facts, mean_words, pose_facts, pose_words
 from viskill_deploy.cli.reaching import Carrier, Domain, Interface, TransportChoice
-from viskill_deploy.cli.sources import Calibration, Truth
+from viskill_deploy.cli.sources import Calibration, Cell, Truth
 from viskill_deploy.cli.touching import TOUCH_NOISE_M, TouchedBy, TouchedRobot, touched_by
 from viskill_deploy.core.calibration_files import calibrated, is_simulated, read_calibration
 from viskill_deploy.core.clock import MonotonicClock, wall_time
@@ -40,7 +40,8 @@ from viskill_deploy.runtime.topic_poses import TopicPoses
 from viskill_deploy.sim.tasks.base import load_task
 
 EXAMPLE = (
-    "Example: viskill calibrate scene runs/scene -o scene.toml --calibration lab.json --driver crtk"
+    "Example: viskill calibrate scene runs/scene -o scene.toml --robot lab.toml "
+    "--calibration lab.json --driver crtk"
 )
 
 FRESH_S = 3600.0
@@ -53,10 +54,7 @@ LOOKS = "poses.csv"
 def command(
     folder: Annotated[Path, typer.Argument(help="Where touches and looks are kept.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The scene file to write.")],
-    cell: Annotated[
-        str,
-        typer.Option("--cell", "--robot", help="A name in robots/cells, or the path of a file."),
-    ] = "bipegtransfer",
+    cell: Cell = "bipegtransfer",
     calibration: Calibration = None,
     active: Annotated[str, typer.Option(help="The thing to be moved.")] = "block0",
     goal: Annotated[str, typer.Option(help="Where to: peg2, or x,y,z in m.")] = "peg2",
@@ -85,9 +83,11 @@ def command(
     interface: Interface = "",
     truth: Truth = "",
     noise: Annotated[
-        float, typer.Option(min=0, help="Of a simulated touch, a coordinate, m.")
+        float, typer.Option(min=0, help="Noise of a simulated touch, a coordinate, m.")
     ] = TOUCH_NOISE_M,
-    seed: Annotated[int, typer.Option(min=0, help="Of the simulated scene and its touches.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the simulated scene and its touches.")
+    ] = 0,
     json_: Annotated[
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,

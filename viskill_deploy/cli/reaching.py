@@ -41,7 +41,10 @@ Domain = Annotated[
 ]
 Interface = Annotated[
     str,
-    typer.Option(help="Address of this machine on the robot's network, if it needs one."),
+    typer.Option(
+        help="Address of this machine on the robot's network, if it needs one; 127.0.0.1 for a "
+        "robot of viskill serve crtk."
+    ),
 ]
 Pedal = Annotated[
     str,

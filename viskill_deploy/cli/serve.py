@@ -13,7 +13,7 @@ import typer
 from viskill_deploy.calibrate.truths import hidden_robot
 from viskill_deploy.cli import serve_can
 from viskill_deploy.cli.reaching import TransportChoice
-from viskill_deploy.cli.sources import Truth
+from viskill_deploy.cli.sources import Cell, Truth
 from viskill_deploy.cli.terminal import lines_typed
 from viskill_deploy.core import realtime
 from viskill_deploy.core.clock import MonotonicClock
@@ -77,9 +77,7 @@ def crtk(
     transport: Annotated[
         TransportChoice, typer.Option(help="ROS 1, ROS 2, or ROS 2's wire without ROS (dds).")
     ] = TransportChoice.AUTO,
-    cell: Annotated[
-        str, typer.Option(help="A name in robots/cells, or the path of a TOML file.")
-    ] = "bipegtransfer",
+    cell: Cell = "bipegtransfer",
     arms: Annotated[
         str, typer.Option(help="Such as PSM1,PSM2; all of the cell's by default.")
     ] = "",

@@ -1,4 +1,4 @@
-"""The options that name the files of a run; `check`, `dry-run` and `execute` have the same."""
+"""The options that name files, and the same for all commands that have them."""
 
 from __future__ import annotations
 
@@ -7,11 +7,19 @@ from typing import Annotated
 
 import typer
 
+Cell = Annotated[
+    str,
+    typer.Option(
+        "--cell", "--robot", help="Cell: a name in robots/cells, or the path of a TOML file."
+    ),
+]
 Robot = Annotated[
     str,
     typer.Option(
-        help="Cell of the robot: a name in robots/cells or the path of a TOML file. "
-        "The bundle's own by default."
+        "--robot",
+        "--cell",
+        help="Cell of the robot: a name in robots/cells, or the path of a TOML file. That of the "
+        "bundle, or of the CAN file, by default.",
     ),
 ]
 Calibration = Annotated[Path | None, typer.Option(help="Calibration file of that cell.")]
@@ -28,7 +36,7 @@ Truth = Annotated[
 Inputs = Annotated[
     str,
     typer.Option(
-        help="Node of its own whose consent and emergency stop count, as can:FILE; such as "
-        "can:pedal of robots/inputs. Only against the clock."
+        help="A separate CAN pedal node for consent and emergency stop: can:NAME of robots/inputs, "
+        "or can:FILE. Real-time runs only."
     ),
 ]
