@@ -240,6 +240,23 @@ def test_inspect_and_doctor_speak_json(tmp_path: Path) -> None:
     assert len(health["data_files"]) >= 54
 
 
+def test_doctor_says_where_own_files_go_before_the_folder_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = tmp_path / "own"
+    monkeypatch.setenv("VISKILL_DATA", str(own))
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "share"))
+    run = CliRunner().invoke(app, ["doctor"])
+    assert run.exit_code == 0
+    assert f"data:    {own} (not there yet), " in run.stdout
+    assert f"{tmp_path / 'share/viskill_deploy'} (not there yet), " in run.stdout
+    assert "pip install 'viskill-deploy" not in run.stdout
+    own.mkdir()
+    found = json.loads(CliRunner().invoke(app, ["doctor", "--json"]).stdout)
+    assert str(own) in found["data_roots"]
+    assert str(own) not in found["data_roots_to_be"]
+
+
 def test_inspect_shows_who_gives_subgoals_and_what_every_graph_takes(
     affinely_chained: Path, unchained: Path, tmp_path: Path
 ) -> None:

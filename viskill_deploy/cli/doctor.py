@@ -18,13 +18,14 @@ import typer
 from viskill_deploy.bundle.format import load_bundle
 from viskill_deploy.core import data, realtime
 from viskill_deploy.core.description import load_cell, load_robot
-from viskill_deploy.core.errors import ViskillError
+from viskill_deploy.core.errors import ViskillError, extra_advice
 from viskill_deploy.core.robot_files import ToolFile, read_toml
 from viskill_deploy.drivers.crtk.readiness import MODULES, choose, readiness
 
 EXAMPLE = "Example: viskill doctor --json"
 
 PARTS = ("pin", "mujoco", "ruckig", "daqp", "osqp", "qpsolvers", "onnxruntime", "numpy", "rosbags")
+AGAIN = "in your clone of viskill_deploy: pip install -e ."
 EXTRAS = {
     "train": "torch",
     "import": "onnx",
@@ -50,9 +51,7 @@ def command(
 def _examine() -> dict[str, Any]:
     files, problems = _data_files()
     parts = {part: _version(part) for part in PARTS}
-    problems += [
-        f"{part} is missing; install viskill-deploy again" for part in PARTS if not parts[part]
-    ]
+    problems += [f"{part} is missing; {AGAIN}" for part in PARTS if not parts[part]]
     bundles = _bundles()
     for bundle in bundles:
         try:
@@ -71,6 +70,7 @@ def _examine() -> dict[str, Any]:
         "real_time_refusals": realtime.refusals(),
         "video": {lib: find_library(lib) is not None for lib in ("EGL", "OSMesa")},
         "data_roots": [str(root) for root in data.data_roots() if root.is_dir()],
+        "data_roots_to_be": [str(root) for root in data.own_roots() if not root.is_dir()],
         "data_files": files,
         "bundles": bundles,
         "problems": problems,
@@ -131,7 +131,7 @@ def _print(found: dict[str, Any]) -> None:
     print(f"viskill_deploy {found['viskill_deploy']}, Python {found['python']}, {found['system']}")
     print("parts:   " + ", ".join(f"{name} {v}" for name, v in found["parts"].items()))
     for extra, there in found["extras"].items():
-        hint = "installed" if there else f"not installed: pip install 'viskill-deploy[{extra}]'"
+        hint = "installed" if there else f"not installed; {extra_advice(extra)}"
         print(f"extra {extra}: {hint}")
     for name, one in found["crtk"]["transports"].items():
         hint = "ready" if one["ready"] else f"{', '.join(one['missing'])} missing: {one['advice']}"
@@ -143,7 +143,8 @@ def _print(found: dict[str, Any]) -> None:
     drawn = [lib for lib, there in found["video"].items() if there]
     hint = "none; on Debian or Ubuntu: apt-get install libosmesa6, or libegl1 libgl1-mesa-dri"
     print(f"graphics for videos: {', '.join(drawn) or hint}")
-    print("data:    " + ", ".join(found["data_roots"]) + f" ({len(found['data_files'])} files)")
+    to_be = [f"{root} (not there yet)" for root in found["data_roots_to_be"]]
+    print(f"data:    {', '.join([*to_be, *found['data_roots']])}; {len(found['data_files'])} files")
     for bundle in found["bundles"]:
         print(f"bundle:  {Path(bundle)}")
     for problem in found["problems"]:

@@ -20,9 +20,13 @@ def data_roots() -> tuple[Path, ...]:
     In order: `$VISKILL_DATA`, the user's data folder, the copy inside the package (a wheel), the
     checkout (an editable install).
     """
+    return (*own_roots(), *packaged_roots())
+
+
+def own_roots() -> tuple[Path, ...]:
+    """The roots for files of one's own, which may not be there yet."""
     roots = [Path(os.environ["VISKILL_DATA"])] if os.environ.get("VISKILL_DATA") else []
-    roots.append(Path(platformdirs.user_data_dir("viskill_deploy")))
-    return (*roots, *packaged_roots())
+    return (*roots, Path(platformdirs.user_data_dir("viskill_deploy")))
 
 
 def packaged_roots() -> tuple[Path, ...]:

@@ -119,6 +119,11 @@ class SafetyStop(ViskillError):  # noqa: N818 - the field says "safety stop"
     exit_code = 5
 
 
+def extra_advice(extra: str) -> str:
+    """What brings an optional part. No index has this package: it is installed from a clone."""
+    return f"in your clone of viskill_deploy: pip install -e '.[{extra}]'"
+
+
 class MissingExtraError(ViskillError, ImportError):
     """An optional dependency is not installed.
 
@@ -130,7 +135,7 @@ class MissingExtraError(ViskillError, ImportError):
 
     def __init__(self, extra: str, what: str) -> None:
         self.extra = extra
-        super().__init__(f"{what} needs an optional part: pip install 'viskill-deploy[{extra}]'")
+        super().__init__(f"{what} needs an optional part; {extra_advice(extra)}")
 
 
 class MissingRosError(ViskillError, ImportError):

@@ -474,5 +474,5 @@ def test_the_command_says_which_extra_it_needs(
         if name.startswith(("viskill_deploy.bundle.official", "viskill_deploy.bundle.graph_w")):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(MissingExtraError, match=r"viskill-deploy\[import\]"):
+    with pytest.raises(MissingExtraError, match=r"pip install -e .\.\[import\]"):
         official(tmp_path, tmp_path / "out")

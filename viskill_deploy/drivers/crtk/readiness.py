@@ -9,7 +9,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 
-from viskill_deploy.core.errors import MissingExtraError
+from viskill_deploy.core.errors import MissingExtraError, extra_advice
 from viskill_deploy.drivers.crtk.transport import TransportName
 
 MODULES: dict[TransportName, tuple[str, ...]] = {
@@ -26,7 +26,7 @@ ADVICE: dict[TransportName, str] = {
     "ros2": "source the setup.bash of ROS 2 and that of dVRK's workspace, which has crtk_msgs, and "
     "use that ROS's Python from 3.11 on (python3 -m venv --system-site-packages); or say dds, "
     "which needs no ROS",
-    "dds": "pip install 'viskill-deploy[ros]'",
+    "dds": extra_advice("ros"),
 }
 """What to do where something is missing."""
 
