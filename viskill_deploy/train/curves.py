@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from viskill_deploy.core.errors import MissingExtraError
+from viskill_deploy.train.lock import alone
 from viskill_deploy.train.run import LOG
 
 Line = dict[str, Any]
@@ -36,7 +36,7 @@ def read_log(folder: Path) -> list[Line]:
             line = json.loads(text)
         except json.JSONDecodeError:
             continue
-        key = (line.get("stage"), line.get("round"), "ends" in line)
+        key = (line.get("stage"), line.get("round"), "ends" in line, "commit" in line)
         found.pop(key, None)
         found[key] = line
     return list(found.values())
@@ -72,12 +72,13 @@ def draw(folder: Path, stages: Iterable[str]) -> None:
     Raises:
         MissingExtraError: tensorboard or matplotlib is not installed.
     """
-    lines = read_log(folder)
-    for stage in stages:
-        rounds = [line for line in lines if line["stage"] == stage and "round" in line]
-        if rounds:
-            write_events(folder / EVENTS / stage, rounds)
-    draw_picture(folder / PICTURE, rates_of(lines))
+    with alone(folder / "curves.lock", lambda _: None):  # methods of one run learn side by side
+        lines = read_log(folder)
+        for stage in stages:
+            rounds = [line for line in lines if line["stage"] == stage and "round" in line]
+            if rounds:
+                write_events(folder / EVENTS / stage, rounds)
+        draw_picture(folder / PICTURE, rates_of(lines))
 
 
 def write_events(folder: Path, lines: Iterable[Line]) -> None:
@@ -120,6 +121,6 @@ def draw_picture(path: Path, curves: Mapping[str, Mapping[str, list[float | None
         panel.set(title=stage, xlabel="round", ylim=(-0.03, 1.03))
         panel.grid(alpha=0.3)
         panel.legend(*panel.get_legend_handles_labels(), fontsize="small", loc="best")
-    new = path.with_name(f"new-{os.getpid()}-{path.name}")  # methods of one run learn side by side
+    new = path.with_name(f"new-{path.name}")
     figure.savefig(new, dpi=110)
     new.replace(path)

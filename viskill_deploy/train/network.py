@@ -166,6 +166,11 @@ class Network(nn.Module):  # type: ignore[misc]  # torch is not type-checked her
         """Outputs (N, k) for inputs (N, n)."""
         return self.head(self.features(x))
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether every trained number is one; a diverged network's are not."""
+        return all(bool(torch.isfinite(value).all()) for value in self.state_dict().values())
+
     def weights(self) -> dict[str, FloatArray]:
         """Trained numbers by name, float32."""
         return {key: value.detach().numpy().copy() for key, value in self.state_dict().items()}

@@ -7,7 +7,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,8 @@ from viskill_deploy.train.calibration import Calibration
 from viskill_deploy.train.evaluate import Score
 
 SCHEMA = 1
+
+AGAIN = "delete it and run its unit again, which measures anew what it has learned"
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,10 @@ class Measuring:
     episodes: int = 100
     calibration_episodes: int = 300
 
+    def __post_init__(self) -> None:
+        if self.episodes < 1 or self.calibration_episodes < 0:
+            raise ValueError("episodes are at least 1, calibration_episodes not negative")
+
 
 @dataclass(frozen=True, slots=True)
 class Training:
@@ -62,7 +68,9 @@ class Training:
         threads: of physics and gradient steps.
         peak_memory_mib: of the process that finished the learning.
         versions: of what numbers may depend on.
-        commit: of the code, with `+` behind it if it had been changed; None outside a checkout.
+        commit: of the code that finished the learning, with `+` behind it if it had been changed;
+            None outside a checkout.
+        stages: the same of the code that finished each stage, as far as it is known.
     """
 
     seconds: dict[str, float]
@@ -71,6 +79,7 @@ class Training:
     peak_memory_mib: float
     versions: dict[str, str]
     commit: str | None
+    stages: dict[str, str | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +159,7 @@ def read_result(path: Path) -> Result:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        raise DataFileError(path, key, f"{first['msg']}; run its unit again") from error
+        raise DataFileError(path, key, f"{first['msg']}; {AGAIN}") from error
     if result.schema != SCHEMA:
-        raise DataFileError(path, "schema", f"is not {SCHEMA}; run its unit again")
+        raise DataFileError(path, "schema", f"is not {SCHEMA}; {AGAIN}")
     return result

@@ -7,7 +7,6 @@ with the same folder goes on from there, to the same result as without the break
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
+from pydantic import ConfigDict
 
 from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.errors import TrainingError
@@ -22,12 +22,20 @@ from viskill_deploy.core.types import FloatArray
 from viskill_deploy.sim.tasks.base import AnyFloatArray, load_task
 from viskill_deploy.sim.vector_loop import VectorLoop
 from viskill_deploy.train import store
-from viskill_deploy.train.demos import SkillDemos, record_demos
+from viskill_deploy.train.demos import TRIES, SkillDemos, record_demos
 from viskill_deploy.train.hidden import hidden_robots
 from viskill_deploy.train.network import Network, scaling_of
+from viskill_deploy.train.provenance import commit
 from viskill_deploy.train.replay import Episodes
+from viskill_deploy.train.results import write_json
 from viskill_deploy.train.rollout import Act, Start, run_skill, saved
-from viskill_deploy.train.settings import RunSettings, checked, settings_facts
+from viskill_deploy.train.settings import (
+    RunSettings,
+    check_distributions,
+    checked,
+    content_of,
+    settings_facts,
+)
 from viskill_deploy.train.skill_learning import SkillData, SkillLearner
 
 LOG = "log.jsonl"
@@ -67,6 +75,32 @@ class Learner(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class RunFacts:
+    """What `settings.json` in the folder of a run says."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    task: str
+    seed: int
+    settings: RunSettings
+
+
+def read_facts(path: Path) -> RunFacts:
+    """What `write_facts` wrote.
+
+    Raises:
+        DataFileError: names file, key and reason.
+    """
+    return checked(path, RunFacts, content_of(path))
+
+
+def write_facts(path: Path, facts: RunFacts) -> None:
+    """Writes what a run is; several processes may do so at once."""
+    settings = settings_facts(facts.settings)
+    write_json(path, {"task": facts.task, "seed": facts.seed, "settings": settings})
+
+
 @dataclass
 class Run:
     """The folder of a run.
@@ -77,14 +111,15 @@ class Run:
         seed: of everything random.
         settings: the rest.
         say: told about progress.
-        threads: of physics and gradient steps.
+        threads: of physics; gradient steps have one, since their sums depend on how many there are.
         watch: told the same as facts.
 
     Attributes:
         stages: asked for so far, in order.
 
     Raises:
-        TrainingError: the folder holds another run.
+        TrainingError: the folder holds another run, or cannot hold one.
+        DataFileError: the task does not have such layouts.
     """
 
     folder: Path
@@ -97,23 +132,16 @@ class Run:
 
     def __post_init__(self) -> None:
         self.stages: list[str] = []
-        torch.set_num_threads(self.threads)
+        torch.set_num_threads(1)
         self.task = load_task(self.task_name)
-        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / SETTINGS
+        check_distributions(self.settings, self.task.distributions, path)
         self._loop: VectorLoop | None = None
         self._trial: VectorLoop | None = None
-        facts = {
-            "task": self.task_name,
-            "seed": self.seed,
-            "settings": settings_facts(self.settings),
-        }
-        text, path = json.dumps(facts, indent=1), self.folder / SETTINGS
-        if not path.is_file():
-            # several processes may begin at once
-            new = path.with_name(f"{path.name}.{os.getpid()}")
-            new.write_text(text, encoding="utf-8")
-            new.replace(path)
-        if json.loads(path.read_text("utf-8")) != json.loads(text):
+        mine = RunFacts(self.task_name, self.seed, self.settings)
+        if not path.is_file() or not any(self.folder.glob("*.npz")):  # nothing is learned yet
+            write_facts(path, mine)
+        if read_facts(path) != mine:
             raise TrainingError(
                 f"{self.folder} holds a run with another task, seed or settings; "
                 "name an empty folder"
@@ -128,10 +156,11 @@ class Run:
         """
         path = folder / SETTINGS
         if not path.is_file():
-            raise TrainingError(f"{folder} holds no training run; train first")
-        facts = json.loads(path.read_text("utf-8"))
-        settings = checked(path, RunSettings, facts["settings"])
-        return cls(folder, facts["task"], facts["seed"], settings, say, threads)
+            runs = sorted(str(inner.parent) for inner in folder.glob(f"*/{SETTINGS}"))
+            there = f"name one of {', '.join(runs)}" if runs else "train first"
+            raise TrainingError(f"{folder} holds no training run; {there}")
+        facts = read_facts(path)
+        return cls(folder, facts.task, facts.seed, facts.settings, say, threads)
 
     @property
     def loop(self) -> VectorLoop:
@@ -163,15 +192,15 @@ class Run:
         path = self.folder / f"{stage}.state.npz"
         if path.is_file():
             learner.restore(store.load(path))
-        rounds = 0
+        rounds, before = 0, wall_time()
         while not learner.finished:
-            started = wall_time()
             line = {"stage": stage, **learner.advance()}
             rounds += 1
+            now = wall_time()
+            line["seconds"], before = round(now - before, 2), now
+            self.log(line)  # before the state: a round that is done again is logged again
             if rounds % save_every == 0 or learner.finished:
                 store.save(path, learner.state())
-            line["seconds"] = round(wall_time() - started, 2)
-            self.log(line)
             if self.watch:
                 self.watch({**line, "rounds": learner.rounds})
 
@@ -203,6 +232,7 @@ class Run:
 
     def finish(self, stage: str, tree: store.Tree) -> None:
         """Writes the result of a stage and drops what it kept while it ran."""
+        self.log({"stage": stage, "commit": commit()})
         store.save(self.result(stage), tree)
         (self.folder / f"{stage}.state.npz").unlink(missing_ok=True)
         if self.watch:
@@ -281,10 +311,18 @@ def _ends(run: Run, learner: SkillLearner, act: Act) -> list[Start]:
         return []
     rng = np.random.default_rng((run.seed, learner.index, 2))
     ends: list[Start] = []
+    tries = 0
     while len(ends) < run.settings.skill.ends:
         goals, plans = learner.begin(rng, spread=True)
         run_skill(run.loop, learner.index, act, goals)
-        ends += saved(run.loop, plans)
+        found = saved(run.loop, plans)
+        ends += found
+        tries = 0 if found else tries + 1
+        if tries >= TRIES:
+            raise TrainingError(
+                f"every episode of {run.task.skills[learner.index].name} broke off, so that the "
+                "next skill has no learned start; give it more imitation, or set skill.ends = 0"
+            )
     return ends
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,6 +22,23 @@ from viskill_deploy.train.hidden import HiddenSettings
 from viskill_deploy.train.skill_learning import SkillSettings
 
 T = TypeVar("T")
+
+MAY_BE_ZERO = frozenset(
+    {
+        *(f"skill.{name}" for name in ("imitation_steps", "correction_steps", "polish_steps")),
+        *(f"skill.{name}" for name in ("corrections", "rounds", "updates", "ends")),
+        *("dex.critic_first", "amounts.updates", "amounts.planned_updates", "hidden.seed"),
+    }
+)
+"""Whole numbers that turn something off; of all others there is at least one."""
+
+PARTS = frozenset(
+    {
+        *("skill.imitation_hindsight", "skill.enough", "skill.learned_starts"),
+        *("dex.discount", "dex.tau", "dex.hindsight", "chain.tau", "amounts.spread_share"),
+    }
+)
+"""Numbers in [0, 1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,28 +64,44 @@ class RunSettings:
     hidden: HiddenSettings = field(default_factory=HiddenSettings)
 
     def __post_init__(self) -> None:
-        at_least_one = {
-            "environments": self.environments,
-            "distributions": len(self.distributions),
-            "demos.episodes": self.demos.episodes,
-            "demos.corrected": self.demos.corrected,
-            "skill.test_every": self.skill.test_every,
-            "skill.test_lots": self.skill.test_lots,
-            "amounts.test_every": self.amounts.test_every,
-            "amounts.test_lots": self.amounts.test_lots,
-            "amounts.planned_rounds": self.amounts.planned_rounds,
-            "amounts.rounds - amounts.planned_rounds": (
-                self.amounts.rounds - self.amounts.planned_rounds
-            ),
-        }
-        for name, value in at_least_one.items():
-            if value < 1:
-                raise ValueError(f"{name} has to be at least 1, not {value}")
+        if not self.distributions:
+            raise ValueError("distributions: name at least one")
+        for name, value in _numbers(dataclasses.asdict(self)):
+            least = 0 if isinstance(value, float) or name in MAY_BE_ZERO else 1
+            if not (math.isfinite(value) and value >= least):
+                raise ValueError(f"{name} has to be at least {least}, not {value}")
+            if name in PARTS and value > 1:
+                raise ValueError(f"{name} has to be at most 1, not {value}")
+        if self.amounts.rounds <= self.amounts.planned_rounds:
+            raise ValueError("amounts.rounds has to be more than amounts.planned_rounds")
+
+
+def _numbers(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, int | float]]:
+    """Every number in nested tables, by its dotted key."""
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _numbers(value, f"{before}{key}.")
+        elif not isinstance(value, bool | str | Sequence):
+            yield f"{before}{key}", value
+
+
+def check_distributions(settings: RunSettings, known: Iterable[str], where: Path) -> None:
+    """Refuses layouts that a task does not have.
+
+    Raises:
+        DataFileError: names `where`, the layout and those that there are.
+    """
+    known = tuple(known)
+    for name in settings.distributions:
+        if name not in known:
+            raise DataFileError(
+                where, "distributions", f"{name!r} is unknown; choose of {', '.join(known)}"
+            )
 
 
 def settings_facts(settings: RunSettings) -> dict[str, Any]:
-    """The settings as plain values; hidden robots are left out where there are none."""
-    facts = dataclasses.asdict(settings)
+    """The settings as JSON has them; hidden robots are left out where there are none."""
+    facts: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(settings)))
     if settings.hidden == HiddenSettings():
         del facts["hidden"]
     return facts

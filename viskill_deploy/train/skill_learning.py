@@ -266,7 +266,7 @@ class SkillLearner:
         lots = range(self.settings.test_lots)
         rate = float(np.mean([examiner(rng, self.agent.act) for _ in lots]))
         self.failed = 0 if rate > self.best else self.failed + 1
-        if rate >= self.best:
+        if rate >= self.best and self.agent.actor.is_finite:
             self.best, self._best_actor = rate, state_of(self.agent.actor)
         self.passed = self.passed + 1 if rate >= self.settings.enough else 0
         return rate

@@ -16,10 +16,8 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import platform
 import resource
-import subprocess
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -29,7 +27,6 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from viskill_deploy.core.clock import wall_time
-from viskill_deploy.core.data import PACKAGE
 from viskill_deploy.core.errors import TrainingError, ViskillError
 from viskill_deploy.train import curves, methods
 from viskill_deploy.train.calibration import Calibration, calibrate
@@ -37,6 +34,7 @@ from viskill_deploy.train.chain_learning import Chained
 from viskill_deploy.train.evaluate import evaluate
 from viskill_deploy.train.lock import alone
 from viskill_deploy.train.paper import MAIN
+from viskill_deploy.train.provenance import commit
 from viskill_deploy.train.results import (
     SCHEMA,
     Figures,
@@ -73,7 +71,7 @@ def do_unit(
         root: folder that holds the runs of all units.
         settings: of the run.
         measuring: how it is measured.
-        threads: of physics and gradient steps.
+        threads: of physics.
         say: told about progress.
 
     Raises:
@@ -83,10 +81,12 @@ def do_unit(
         return result
     run = Run(unit.run_folder(root), unit.task, unit.seed, settings, say, threads)
     policy, training = learn(unit.method, run)
-    if result := finished(unit, root, settings, measuring):  # by another process meanwhile
-        return result
-    result = measured(unit, run, policy, training, measuring)
-    write_result(run.folder / unit.method / RESULT, result)
+    path = run.folder / unit.method / RESULT
+    with alone(path.with_name("measuring.lock"), say):
+        if result := finished(unit, root, settings, measuring):  # by another process meanwhile
+            return result
+        result = measured(unit, run, policy, training, measuring)
+        write_result(path, result)
     return result
 
 
@@ -100,7 +100,7 @@ def finished(unit: Unit, root: Path, settings: RunSettings, measuring: Measuring
     if not path.is_file():
         return None
     result = read_result(path)
-    asked = (unit, json.loads(json.dumps(settings_facts(settings))), measuring)
+    asked = (unit, settings_facts(settings), measuring)
     if (result.unit, result.settings, result.measuring) != asked:
         raise TrainingError(f"{path} comes from other settings; delete it, or name another folder")
     return result
@@ -158,8 +158,8 @@ def measured(
         calibration = calibrate(run.trial, policy, measuring.calibration_episodes, unit.seed)
         run.say(f"calibration error {calibration.all.error}")
         seconds["calibration"] = round(wall_time() - started, 2)
-    settings = json.loads(json.dumps(settings_facts(run.settings)))
-    return Result(SCHEMA, unit, settings, measuring, training, scores, calibration, seconds)
+    facts = settings_facts(run.settings)
+    return Result(SCHEMA, unit, facts, measuring, training, scores, calibration, seconds)
 
 
 def _training(run: Run) -> Training:
@@ -172,20 +172,8 @@ def _training(run: Run) -> Training:
         peak_memory_mib=round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
         versions={"python": platform.python_version(), **versions},
         commit=commit(),
+        stages={line["stage"]: line["commit"] for line in lines if "commit" in line},
     )
-
-
-def commit() -> str | None:
-    """The checkout's commit, with `+` behind it if files were changed; None outside a checkout."""
-    git = ("git", "-C", str(PACKAGE))
-    try:
-        told = [
-            subprocess.run([*git, *question], capture_output=True, text=True, check=True).stdout
-            for question in (("rev-parse", "HEAD"), ("status", "--porcelain", "."))
-        ]
-    except (OSError, subprocess.CalledProcessError):
-        return None
-    return told[0].strip() + ("+" if told[1].strip() else "")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -206,11 +194,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(line, flush=True)
 
     try:
+        measuring = Measuring(given.episodes, given.calibration_episodes)
+    except ValueError as error:
+        parser.error(str(error))
+    try:
         do_unit(
             Unit(given.task, given.method, given.seed),
             given.root,
             read_settings(given.settings),
-            Measuring(given.episodes, given.calibration_episodes),
+            measuring,
             given.threads,
             say,
         )

@@ -2,11 +2,15 @@
 
 import dataclasses
 import json
+import os
+import subprocess
+import sys
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from viskill_deploy.bundle.format import load_bundle
 from viskill_deploy.core.errors import TrainingError
@@ -21,7 +25,14 @@ from viskill_deploy.train.dex import DexSettings
 from viskill_deploy.train.evaluate import evaluate
 from viskill_deploy.train.export import export, load_trained
 from viskill_deploy.train.rollout import fresh, run_task
-from viskill_deploy.train.run import Run, actor, demos_of, skill_learner, skills_of
+from viskill_deploy.train.run import (
+    Run,
+    actor,
+    demos_of,
+    finish_skill,
+    skill_learner,
+    skills_of,
+)
 from viskill_deploy.train.settings import RunSettings
 from viskill_deploy.train.skill_learning import SkillData, SkillLearner, SkillSettings
 
@@ -133,6 +144,52 @@ def test_a_broken_chain_goes_on_to_the_same_bits(trained: Run, tmp_path: Path) -
     store.save(tmp_path / "chain-viskill.state.npz", learner.state())
     methods.learn("viskill", run_in(tmp_path))
     assert same(trained.folder / "chain-viskill.npz", tmp_path / "chain-viskill.npz")
+
+
+ELSEWHERE = """
+import sys
+sys.path[:0] = {paths!r}
+from pathlib import Path
+from test_learning import run_in
+from viskill_deploy.train.run import demos_of
+demos_of(run_in(Path({folder!r})))
+"""
+
+
+def test_another_process_records_the_same_demonstrations(trained: Run, tmp_path: Path) -> None:
+    """Nothing random or of an unsettled order is left to the process."""
+    code = ELSEWHERE.format(paths=sys.path, folder=str(tmp_path))
+    hashes = {**os.environ, "PYTHONHASHSEED": "12345"}
+    subprocess.run([sys.executable, "-c", code], check=True, env=hashes)
+    assert same(trained.folder / "demos.npz", tmp_path / "demos.npz")
+
+
+def test_gradient_steps_have_one_thread_whatever_physics_has(tmp_path: Path) -> None:
+    """The same network sums in another order, to other bits, where there are more."""
+    Run(tmp_path, "bipegtransfer", 0, TINY, quiet, threads=2)
+    assert torch.get_num_threads() == 1
+
+
+def test_a_skill_that_never_ends_whole_is_told_of(
+    trained: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = without_chain(trained, tmp_path)
+    monkeypatch.setattr("viskill_deploy.train.run.saved", lambda *_: [])
+    learner = skill_learner(run, 0, ())
+    with pytest.raises(TrainingError, match="every episode of grasp broke off"):
+        finish_skill(run, "skill-grasp", learner)
+
+
+def test_a_diverged_network_is_never_the_best_one(trained: Run, tmp_path: Path) -> None:
+    learner = skill_learner(without_chain(trained, tmp_path), 0, ())
+    learner.examiner = lambda *_: 0.0
+    learner._test()
+    sound = learner.best_weights()
+    with torch.no_grad():
+        learner.agent.actor.layers[0].weight[0, 0] = float("nan")
+    learner._test()
+    assert all(np.isfinite(value).all() for value in learner.best_weights().values())
+    assert learner.best_weights().keys() == sound.keys()
 
 
 def test_a_folder_with_other_settings_is_refused(trained: Run) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from viskill_deploy.core.errors import TrainingError
+from viskill_deploy.core.errors import DataFileError, TrainingError
 from viskill_deploy.train import methods, unit
 from viskill_deploy.train.evaluate import Score
 from viskill_deploy.train.lock import alone
@@ -98,6 +98,7 @@ def test_a_unit_leaves_a_result_with_everything_that_tables_need(
     assert set(training.seconds) == {"counting"}
     assert training.peak_memory_mib > 50
     assert {"python", "torch", "mujoco"} <= set(training.versions)
+    assert training.stages == {"counting": training.commit}
     assert result.settings["environments"] == RunSettings().environments
     assert (folder / "curves.png").is_file()
     assert (folder / "tensorboard" / "counting").is_dir()
@@ -118,6 +119,34 @@ def test_a_result_with_other_settings_is_refused(
         done(tmp_path, episodes=8)
     with pytest.raises(TrainingError, match="other settings"):
         done(tmp_path, RunSettings(environments=3))
+
+
+def test_a_damaged_result_says_how_to_get_it_again(
+    tmp_path: Path, evaluated: list[tuple[Any, ...]]
+) -> None:
+    done(tmp_path)
+    path = UNIT.run_folder(tmp_path) / "counting" / "result.json"
+    path.write_text(path.read_text()[:99])
+    with pytest.raises(DataFileError, match="delete it and run its unit again"):
+        done(tmp_path)
+    path.unlink()
+    assert not any("stage counting" in line for line in done(tmp_path))
+    assert path.is_file()
+
+
+def test_two_processes_do_not_measure_the_same_unit(
+    tmp_path: Path, evaluated: list[tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second one has learned nothing and gets the lock when the first has written."""
+    done(tmp_path)
+    path = UNIT.run_folder(tmp_path) / "counting" / "result.json"
+    late = iter([None])
+    known = unit.finished
+    monkeypatch.setattr(unit, "finished", lambda *asked: next(late, known(*asked)))
+    before = path.stat().st_mtime_ns
+    done(tmp_path)
+    assert len(evaluated) == 2
+    assert path.stat().st_mtime_ns == before
 
 
 def test_a_unit_that_was_stopped_while_it_was_measured_is_not_learned_again(
@@ -207,9 +236,7 @@ def test_a_unit_that_was_killed_goes_on_from_its_last_checkpoint(
     said = done(tmp_path)  # the dead process holds no lock
     assert not any("round 0" in line for line in said)
     result = read_result(folder / "counting" / "result.json")
-    success = result.training.curves["counting"]["success"]
-    assert success[-1] == 1.0
-    assert len(success) >= 3  # a process that dies between checkpoint and log loses one line
+    assert result.training.curves["counting"]["success"] == [0.25, 0.5, 0.75, 1.0]
 
 
 WAITING = """

@@ -1,0 +1,94 @@
+"""What may be set about a run, and what its folder says."""
+
+from pathlib import Path
+
+import pytest
+
+from viskill_deploy.core.errors import DataFileError, TrainingError
+from viskill_deploy.train import store
+from viskill_deploy.train.results import Measuring
+from viskill_deploy.train.run import Run
+from viskill_deploy.train.settings import RunSettings, read_settings, settings_facts
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "run.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value"),
+    [
+        ("skill", "patience", "0"),
+        ("skill", "passes", "0"),
+        ("skill", "rounds", "-3"),
+        ("skill", "learned_starts", "1.5"),
+        ("dex", "batch", "0"),
+        ("dex", "actor_rate", "nan"),
+        ("demos", "episodes", "0"),
+        ("chain", "hidden", "0"),
+        ("amounts", "capacity", "-1"),
+        ("amounts", "rounds", "4"),
+    ],
+)
+def test_numbers_that_no_learning_could_have_are_refused_by_name(
+    table: str, key: str, value: str, tmp_path: Path
+) -> None:
+    with pytest.raises(DataFileError, match=rf"{table}\.{key} has to be"):
+        read_settings(written(tmp_path, f"[{table}]\n{key} = {value}\n"))
+
+
+def test_what_may_be_turned_off_may_be_zero(tmp_path: Path) -> None:
+    text = "[skill]\ncorrections = 0\npolish_steps = 0\nends = 0\n[dex]\ncritic_first = 0\n"
+    assert read_settings(written(tmp_path, text)).skill.ends == 0
+
+
+def test_measuring_asks_for_episodes() -> None:
+    with pytest.raises(ValueError, match="at least 1"):
+        Measuring(episodes=0)
+    with pytest.raises(ValueError, match="not negative"):
+        Measuring(calibration_episodes=-1)
+
+
+def test_layouts_that_the_task_does_not_have_are_refused_before_anything_is_written(
+    tmp_path: Path,
+) -> None:
+    settings = RunSettings(distributions=("refrence",))
+    with pytest.raises(DataFileError, match="'refrence' is unknown; choose of reference, wide"):
+        Run(tmp_path / "run", "bipegtransfer", 0, settings)
+    assert not (tmp_path / "run").exists()
+
+
+def test_settings_may_be_corrected_until_something_is_learned(tmp_path: Path) -> None:
+    Run(tmp_path, "bipegtransfer", 0, RunSettings(environments=3))
+    Run(tmp_path, "bipegtransfer", 0, RunSettings(environments=4))
+    store.save(tmp_path / "demos.npz", {})
+    with pytest.raises(TrainingError, match="name an empty folder"):
+        Run(tmp_path, "bipegtransfer", 0, RunSettings(environments=5))
+    assert Run.open(tmp_path).settings.environments == 4
+
+
+def test_a_folder_of_runs_is_told_from_a_run(tmp_path: Path) -> None:
+    with pytest.raises(TrainingError, match="train first"):
+        Run.open(tmp_path)
+    Run(tmp_path / "seed0", "bipegtransfer", 0, RunSettings())
+    with pytest.raises(TrainingError, match=r"name one of .*seed0"):
+        Run.open(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["{", '{"task": "bipegtransfer"}', "[]"])
+def test_a_damaged_settings_file_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "settings.json").write_text(text, encoding="utf-8")
+    with pytest.raises(DataFileError, match=r"settings\.json"):
+        Run.open(tmp_path)
+
+
+def test_a_run_of_before_a_setting_was_there_opens(tmp_path: Path) -> None:
+    Run(tmp_path, "bipegtransfer", 0, RunSettings())
+    facts = settings_facts(RunSettings())
+    del facts["dex"]["neighbours"]
+    text = (tmp_path / "settings.json").read_text()
+    (tmp_path / "settings.json").write_text(text.replace('"neighbours": 5, ', ""))
+    store.save(tmp_path / "demos.npz", {})
+    assert Run.open(tmp_path).settings == RunSettings()
