@@ -135,10 +135,18 @@ class Result:
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Writes an object, a line for each of its keys; a crash leaves the old file whole."""
     lines = (f" {json.dumps(k)}: {json.dumps(v, allow_nan=False)}" for k, v in content.items())
+    write_whole(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Writes a file, its folder made if missing; whoever reads it finds the old one or the new."""
     path.parent.mkdir(parents=True, exist_ok=True)
     new = path.with_name(f"{path.name}.{os.getpid()}")
-    new.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
-    new.replace(path)
+    try:
+        new.write_bytes(content)
+        new.replace(path)
+    finally:
+        new.unlink(missing_ok=True)
 
 
 def write_result(path: Path, result: Result) -> None:

@@ -29,9 +29,12 @@ def save(path: Path, tree: Tree) -> None:
     skeleton = json.dumps(_without_arrays(tree, arrays), allow_nan=True)
     path.parent.mkdir(parents=True, exist_ok=True)
     new = path.with_name(f"{path.name}.new")
-    with new.open("wb") as file:
-        np.savez(file, __tree__=np.array(skeleton), **arrays)
-    new.replace(path)
+    try:
+        with new.open("wb") as file:
+            np.savez(file, __tree__=np.array(skeleton), **arrays)
+        new.replace(path)
+    finally:
+        new.unlink(missing_ok=True)  # half a file would keep a full disk full
 
 
 def load(path: Path) -> dict[str, Any]:

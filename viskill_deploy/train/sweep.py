@@ -8,8 +8,8 @@ folders of the runs; a sweep that is started again goes on.
 
 from __future__ import annotations
 
+import dataclasses
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -18,9 +18,10 @@ from pathlib import Path
 from typing import Protocol
 
 from viskill_deploy.core.clock import MonotonicClock
+from viskill_deploy.core.errors import DataFileError, TrainingError, ViskillError
 from viskill_deploy.sim.tasks.base import load_task
 from viskill_deploy.train.methods import needs_skills
-from viskill_deploy.train.results import Unit, write_json
+from viskill_deploy.train.results import Unit, read_result, write_json, write_whole
 from viskill_deploy.train.settings import settings_facts
 from viskill_deploy.train.sweep_file import Sweep
 from viskill_deploy.train.unit import RESULT, finished
@@ -82,7 +83,7 @@ class _Job:
 
 def unit_command(sweep: Sweep, unit: Unit) -> list[str]:
     """The command line of a unit."""
-    settings = sweep.output / unit.task / "settings.json"
+    settings = unit.run_folder(sweep.output) / unit.method / "settings.json"
     write_json(settings, settings_facts(sweep.settings[unit.task]))
     measuring = sweep.measuring
     return [
@@ -114,6 +115,7 @@ class Pool:
 
         Raises:
             TrainingError: a folder holds the result of a run with other settings.
+            DataFileError: a result in the folder of results is damaged.
         """
         self._skip_finished()
         try:
@@ -126,11 +128,44 @@ class Pool:
         return self._outcomes
 
     def _skip_finished(self) -> None:
-        sweep = self._sweep
-        for unit in sweep.units:
-            if finished(unit, sweep.output, sweep.settings[unit.task], sweep.measuring):
+        for unit in self._sweep.units:
+            self._check_copy(unit)
+            try:
+                done = self._finished(unit)
+            except DataFileError:
+                continue  # damaged: the unit's own process says so, in its log
+            if done:
                 self._waiting.remove(unit)
                 self._over(Outcome(unit, "skipped", 0, 0.0, self._log(unit)))
+
+    def _finished(self, unit: Unit) -> bool:
+        sweep = self._sweep
+        done = finished(unit, sweep.output, sweep.settings[unit.task], sweep.measuring)
+        return done is not None
+
+    def _left_result(self, unit: Unit) -> bool:
+        """Whether a process did what it was to do."""
+        try:
+            return self._finished(unit)
+        except ViskillError:
+            return False
+
+    def _check_copy(self, unit: Unit) -> None:
+        """Refuses to write over a result that comes from elsewhere."""
+        path = self._copy(unit)
+        if path is None or not path.is_file():
+            return
+        there = read_result(path)
+        settings = settings_facts(self._sweep.settings[unit.task])
+        if (there.settings, there.measuring) != (settings, self._sweep.measuring):
+            raise TrainingError(
+                f"{path} comes from other settings; name another folder for `results`"
+            )
+
+    def _copy(self, unit: Unit) -> Path | None:
+        """Where the result goes besides."""
+        folder = self._sweep.results
+        return None if folder is None else folder / f"{unit.name}.json"
 
     def _begin(self) -> None:
         """Fills the pool with the first units that need not wait for another one."""
@@ -141,7 +176,6 @@ class Pool:
             self._waiting.remove(unit)
             log = self._log(unit)
             log.parent.mkdir(parents=True, exist_ok=True)
-            log.unlink(missing_ok=True)
             process = self._start(unit, log)
             self._running.append(_Job(unit, log, process, self._clock.now()))
             self._watcher.started(unit, 1)
@@ -176,10 +210,11 @@ class Pool:
         """Sees which processes are over and what the others say."""
         for job in list(self._running):
             code = job.process.poll()
-            done = code == 0 and (self._folder(job.unit) / RESULT).is_file()
             if code is None:
                 self._watcher.says(job.unit, last_line(job.log))
-            elif not done and job.attempt < ATTEMPTS:
+                continue
+            done = code == 0 and self._left_result(job.unit)
+            if not done and job.attempt < ATTEMPTS:
                 job.process, job.attempt = self._start(job.unit, job.log), job.attempt + 1
                 self._watcher.started(job.unit, job.attempt)
             else:
@@ -189,10 +224,14 @@ class Pool:
                 self._over(Outcome(job.unit, status, job.attempt, seconds, job.log))
 
     def _over(self, outcome: Outcome) -> None:
-        if outcome.status != "failed" and self._sweep.results is not None:
-            self._sweep.results.mkdir(parents=True, exist_ok=True)
-            source = self._folder(outcome.unit) / RESULT
-            shutil.copyfile(source, self._sweep.results / f"{outcome.unit.name}.json")
+        copy = self._copy(outcome.unit)
+        if outcome.status != "failed" and copy is not None:
+            try:
+                write_whole(copy, (self._folder(outcome.unit) / RESULT).read_bytes())
+            except OSError as error:  # the others go on
+                with outcome.log.open("a", encoding="utf-8") as log:
+                    log.write(f"sweep: the result could not be copied: {error}\n")
+                outcome = dataclasses.replace(outcome, status="failed")
         self._outcomes.append(outcome)
         self._watcher.over(outcome)
 

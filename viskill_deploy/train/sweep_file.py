@@ -10,10 +10,10 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, Field
 
 from viskill_deploy.core.errors import DataFileError
-from viskill_deploy.sim.tasks.base import task_names
+from viskill_deploy.sim.tasks.base import load_task, task_names
 from viskill_deploy.train.methods import method_names, needs_skills
 from viskill_deploy.train.results import Measuring, Unit
-from viskill_deploy.train.settings import RunSettings, checked, content_of
+from viskill_deploy.train.settings import RunSettings, check_distributions, checked, content_of
 
 AtLeastOne = Annotated[int, Field(ge=1)]
 Seed = Annotated[int, Field(ge=0)]
@@ -81,13 +81,26 @@ def read_sweep(path: Path) -> Sweep:
     """
     file = checked(path, SweepFile, content_of(path))
     _check_names(path, file)
-    tasks = dict.fromkeys(task for block in file.units for task in block.tasks)
-    settings = {
-        task: checked(path, RunSettings, merged(file.settings, file.task_settings.get(task, {})))
-        for task in tasks
-    }
+    used = dict.fromkeys(task for block in file.units for task in block.tasks)
+    settings = {task: _settings_of(path, file, task) for task in {*used, *file.task_settings}}
     units = ordered(file.units)
     return Sweep(units, settings, file.measuring, file.output, file.results, file.processes)
+
+
+def _settings_of(path: Path, file: SweepFile, task: str) -> RunSettings:
+    """The settings of a task's runs; a wrong one is named as the file has it."""
+    special = file.task_settings.get(task, {})
+    try:
+        settings = checked(path, RunSettings, merged(file.settings, special))
+    except DataFileError as error:
+        entry: Any = special
+        for part in error.key.split("."):
+            entry = entry.get(part) if isinstance(entry, Mapping) else None
+        table = "settings" if entry is None else f"task_settings.{task}"
+        key = f"{table}.{error.key}" if error.key else table
+        raise DataFileError(path, key, error.reason) from error
+    check_distributions(settings, load_task(task).distributions, path)
+    return settings
 
 
 def ordered(blocks: tuple[Block, ...]) -> tuple[Unit, ...]:

@@ -136,6 +136,49 @@ def test_a_result_of_other_settings_is_not_taken_for_this_sweeps(make: Make) -> 
         Pool(replace(sweep, measuring=Measuring(episodes=7)), Notes()).run()
 
 
+def test_a_result_from_elsewhere_is_not_written_over(make: Make, tmp_path: Path) -> None:
+    sweep, notes = make(VISKILL, OTHER), Notes()
+    copy = tmp_path / "results" / f"{VISKILL.name}.json"
+    write_result(copy, replace(result("bipegtransfer", "viskill", 0, 0.1), measuring=Measuring(7)))
+    before = copy.read_bytes()
+    with pytest.raises(TrainingError, match="name another folder for `results`"):
+        Pool(sweep, notes, scripts(tmp_path)).run()
+    assert notes.begun == []
+    assert copy.read_bytes() == before
+
+
+def test_a_result_that_cannot_be_copied_fails_that_unit_alone(make: Make, tmp_path: Path) -> None:
+    sweep = make(VISKILL, OTHER)
+    (tmp_path / "results" / f"{VISKILL.name}.json").mkdir(parents=True)  # in the way
+    outcomes = Pool(sweep, Notes(), scripts(tmp_path)).run()
+    assert {(o.unit, o.status) for o in outcomes} == {(VISKILL, "failed"), (OTHER, "finished")}
+    failed = next(o for o in outcomes if o.unit == VISKILL)
+    assert "could not be copied" in failed.log.read_text()
+    assert [path.name for path in (tmp_path / "results").iterdir() if path.is_file()] == [
+        f"{OTHER.name}.json"
+    ]
+
+
+def test_a_damaged_result_fails_its_unit_and_no_other(make: Make, tmp_path: Path) -> None:
+    sweep = make(VISKILL, OTHER)
+    bad = VISKILL.run_folder(sweep.output) / "viskill" / "result.json"
+    bad.parent.mkdir(parents=True)
+    bad.write_text("{")
+    stays = "if folder.name == 'viskill' and 'seed0' in str(folder): sys.exit('damaged')"
+    outcomes = Pool(sweep, Notes(), scripts(tmp_path, stays)).run()
+    assert {(o.unit, o.status) for o in outcomes} == {(VISKILL, "failed"), (OTHER, "finished")}
+    assert bad.read_text() == "{"
+
+
+def test_what_a_unit_said_before_stays_in_its_log(make: Make, tmp_path: Path) -> None:
+    sweep = make(VISKILL)
+    log = VISKILL.run_folder(sweep.output) / "viskill" / "unit.log"
+    log.parent.mkdir(parents=True)
+    log.write_text("of before\n")
+    Pool(sweep, Notes(), scripts(tmp_path)).run()
+    assert log.read_text() == "of before\nat work\n"
+
+
 def test_no_process_waits_for_what_another_one_learns(make: Make, tmp_path: Path) -> None:
     notes = Notes()
     Pool(make(VISKILL, TSTAR, GCBC, OTHER), notes, scripts(tmp_path)).run()
@@ -195,6 +238,8 @@ def test_a_units_command_is_plain_arguments(make: Make) -> None:
     ]
     settings = json.loads(Path(command[command.index("--settings") + 1]).read_text())
     assert settings["environments"] == RunSettings().environments
+    others = unit_command(sweep, TSTAR)
+    assert others[others.index("--settings") + 1] != command[command.index("--settings") + 1]
     assert command[-4:] == ["--episodes", "100", "--calibration-episodes", "300"]
 
 
