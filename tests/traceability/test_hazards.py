@@ -35,6 +35,12 @@ def test_no_marker_or_hazard_names_an_invariant_that_there_is_not():
     assert len({hazard.id for hazard in HAZARDS}) == len(HAZARDS)
 
 
+def test_docs_safety_says_what_every_invariant_is():
+    text = (DOCUMENT.parent / "safety.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (S\d\d) \|", text, re.MULTILINE)
+    assert rows == sorted(IDS)
+
+
 def test_the_page_names_every_hazard_and_no_file_that_there_is_not():
     text = DOCUMENT.read_text(encoding="utf-8")
     assert text == traceability.page(), "run `make hazards`"
