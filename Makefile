@@ -23,7 +23,8 @@ lint: $(VENV)/.dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# What needs ROS runs in environments of its own; tests/ros/install says what is in them. Conformance
+# What needs ROS runs in environments of its own; tests/ros/install says what is in them, and installs
+# Debian's packages for them, which needs root. Conformance
 # runs apart: its simulated arms are on the names that the other tests use. What runs arms against the
 # clock (`quiet`) has nothing beside it: two at a time would ask for more with real-time priority than
 # two cores have, and Linux then lets every control loop stand still for 50 ms in one piece.
@@ -62,7 +63,8 @@ wheel-check: $(VENV)/.dev
 bench: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/tick.py
 
-# The figures of the README and docs/results.md.
+# Dry runs of one bundle, 100 episodes a row. The figures of README and docs/results.md come from the
+# commands beside them, with other numbers of episodes.
 figures: $(VENV)/.runtime
 	for mode in closed-loop plan; do \
 	  $(BIN)/viskill dry-run $(BUNDLE) --episodes 100 --distribution reference --mode $$mode \
@@ -101,7 +103,8 @@ joined: $(VENV)/.dev
 false-trips: $(VENV)/.runtime
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/no_false_trips.py
 
-# BiPegTransfer through simulated CiA 402 drives: 17 of 20, no trip. Then 14 axes against the clock.
+# BiPegTransfer through simulated CiA 402 drives: at least 17 of 20 and no trip is asked for, 20 of 20
+# were measured (docs/can.md). Then 14 axes against the clock.
 can: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/viskill dry-run $(BUNDLE) --driver can --episodes $(EPISODES) \
 	  --require-success 0.85 --no-video --json
