@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 
 from viskill_deploy.bundle.format import Manifest
 from viskill_deploy.train.evaluate import Score
-from viskill_deploy.train.settings import RunSettings
+from viskill_deploy.train.settings import RunSettings, settings_facts
 
 CARD = """---
 license: mit
@@ -27,13 +28,13 @@ Skills and chaining policies for the task **{task}** on {arms}, trained by {crea
 ## What it does
 {skills}
 
-A long task is cut into skills. At the start of each skill but the last, a chaining policy chooses
-the subgoal that the skill has to reach, so that the whole task is most likely to succeed; a value
-tells how likely that is (ViSkill, Huang et al., IROS 2023). Graphs, inputs, units and frames are
-those of the bundle format: metres and radians in the task frame, control point at the jaw pivot,
-scaling inside the graphs. An action holds, per arm, a displacement of {displacement:g} m per unit
-(shortened to {longest:g} m), a turn, and the jaw (below 0 closes it). One action is one waypoint of
-{step:g} s.
+A long task is cut into skills; at the start of each skill but the last, a chaining policy chooses
+the subgoal that the skill has to reach (T. Huang et al., IROS 2023). {about} {value}
+
+Graphs, inputs, units and frames are those of the bundle format: metres and radians in the task
+frame, control point at the jaw pivot, scaling inside the graphs. An action holds, per arm, a
+displacement of {displacement:g} m per unit (shortened to {longest:g} m), a turn, and the jaw (below
+0 closes it). One action is one waypoint of {step:g} s.
 
 ## How well
 Measured in the learning world of this project (both arms at joint level in MuJoCo), deterministic
@@ -48,29 +49,53 @@ policies, full-length episodes, layouts that neither training nor selection has 
 ## How it was trained
 Skills: imitation of at least {demos} demonstrations and {corrected} disturbed ones of the task's
 scripted controller, {corrections} rounds in which the script corrects the learner, then DEX with
-goals in hindsight; the weights of the best test are kept. Chaining: SAC with self-imitation over
-frozen skills, values without discount. Seed {seed}.
-`viskill train {task} --method {method} --seed {seed} --output RUN` and `viskill export RUN` do it
-again.
+goals in hindsight; the weights of the best test are kept. Chaining: over frozen skills, values
+without discount. Seed {seed}.
+
+    viskill train {task} --method {method} --seed {seed} --output RUN{file}
+    {command}
+
+do it again{settings}.
 
 ## Limits
 - Trained and measured in simulation only. Nothing here says how it does on a real robot, where
   cable stretch, registration and camera errors of several millimetres are common.
-- It was trained with exact poses of arms and objects.
+- {poses}
 - Outside the manifest's `training_range` it was never asked anything.
 - It is no medical device.
 """
 
 
+VALUE = "A value tells how likely the whole task is to succeed."
+NO_VALUE = "It has no value that tells how likely the whole task is to succeed."
+EXACT = "It was trained with exact poses of arms and objects."
+HIDDEN = (
+    "It was trained on arms and objects whose poses are wrong by {scale:g} of the errors of a "
+    "robot that nobody has calibrated."
+)
+
+
 def model_card(
-    manifest: Manifest, settings: RunSettings, scores: Sequence[Score], command: str
+    manifest: Manifest, settings: RunSettings, scores: Sequence[Score], command: str, about: str
 ) -> str:
-    """The text of `MODEL_CARD.md`."""
+    """The text of `MODEL_CARD.md`.
+
+    Args:
+        manifest: of the bundle.
+        settings: of the run.
+        scores: in the learning world.
+        command: that exported it.
+        about: the method, in a sentence.
+    """
     arms = " and ".join(f"{arm.name} ({arm.robot}, {arm.tool})" for arm in manifest.arms)
+    facts = settings_facts(settings)
+    is_usual = settings == RunSettings()
     return CARD.format(
         name=manifest.name,
         task=manifest.task,
         method=manifest.method,
+        about=about,
+        value=VALUE if manifest.value else NO_VALUE,
         arms=arms,
         created_by=manifest.created_by,
         skills="\n".join(f"- `{s.name}`, {s.budget} steps: `{s.file}`" for s in manifest.skills),
@@ -83,6 +108,9 @@ def model_card(
         corrected=settings.demos.corrected,
         corrections=settings.skill.corrections,
         seed=manifest.seeds[0],
+        file="" if is_usual else " --settings settings.json",
+        settings="" if is_usual else f", with `settings.json`: `{json.dumps(facts)}`",
+        poses=HIDDEN.format(scale=settings.hidden.scale) if settings.hidden.scale else EXACT,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -13,6 +14,7 @@ import numpy as np
 import onnxruntime
 
 from viskill_deploy.bundle.format import (
+    MANIFEST,
     ActionEntry,
     ArmEntry,
     ChainingEntry,
@@ -23,14 +25,15 @@ from viskill_deploy.bundle.format import (
     TrainingRange,
     ValueEntry,
     chain_file,
+    read_manifest,
     skill_file,
     value_file,
     write_manifest,
 )
-from viskill_deploy.core.errors import TrainingError
+from viskill_deploy.core.errors import BundleError, TrainingError
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.sim.tasks.base import Layout
-from viskill_deploy.train import store
+from viskill_deploy.train import methods, store
 from viskill_deploy.train.card import model_card
 from viskill_deploy.train.chain_learning import Chained
 from viskill_deploy.train.chaining import Chaining
@@ -69,9 +72,9 @@ def load_trained(run: Run, method: str) -> Trained:
     """The results of a run.
 
     Raises:
-        TrainingError: the run is not finished.
+        TrainingError: the run is not finished, or the method has nothing to export.
     """
-    if method in {"dex", "gcbc", "planned", "tstar"}:
+    if not methods.chains(method):
         raise TrainingError(f"{method} has no chaining policy to export; choose a chaining method")
     stages = [f"skill-{skill.name}" for skill in run.task.skills] + [f"chain-{method}"]
     for stage in stages:
@@ -97,7 +100,8 @@ def export(
 
     Args:
         trained: what the run has learned.
-        output: the bundle's folder; made if missing, its own files are replaced.
+        output: the bundle's folder, made if missing; an older bundle of the same name in it is
+            replaced when the new one is whole.
         episodes: evaluated in each of the task's distributions; 0 for none.
         seed: of the evaluation episodes.
         say: told about progress.
@@ -107,26 +111,62 @@ def export(
         The bundle's folder.
 
     Raises:
-        TrainingError: a graph does not compute what its network computes.
+        TrainingError: a graph does not compute what its network computes, or the folder holds
+            something else than such a bundle.
     """
     run = trained.run
+    check_place(output, name_of(trained))
     graphs = graphs_of(trained)
     policy = Chained([actor(run, skill["weights"]) for skill in trained.skills], trained.chaining)
     scores = []
     for distribution in run.task.distributions if episodes else ():
         scores.append(evaluate(run.trial, policy, distribution, episodes, seed))
         say(f"{distribution}: {scores[-1].success_rate:.1%} of {episodes} episodes")
-    output.mkdir(parents=True, exist_ok=True)
-    for name, graph in graphs.items():
-        (output / name).write_bytes(graph)
     command = f"viskill export {os.path.relpath(run.folder)} {os.path.relpath(output)}"
     command += f" --method {trained.method} --episodes {episodes} --seed {seed}"
     command += "" if threshold == VALUE_THRESHOLD else f" --threshold {threshold:g}"
     manifest = build_manifest(trained, scores, command, threshold)
-    (output / CARD).write_text(model_card(manifest, run.settings, scores, command), "utf-8")
-    write_manifest(output, manifest)
+    new = output.with_name(f"{output.name}.new")
+    shutil.rmtree(new, ignore_errors=True)
+    new.mkdir(parents=True)
+    for name, graph in graphs.items():
+        (new / name).write_bytes(graph)
+    card = model_card(manifest, run.settings, scores, command, methods.about(trained.method))
+    (new / CARD).write_text(card, "utf-8")
+    write_manifest(new, manifest)
+    if output.exists():
+        shutil.rmtree(output)
+    new.replace(output)
     say(f"bundle written to {output}")
     return output
+
+
+def name_of(trained: Trained) -> str:
+    """The bundle's name."""
+    return f"{trained.run.task.name}-{trained.method}"
+
+
+def check_place(output: Path, name: str) -> None:
+    """Refuses a place that a bundle may not take.
+
+    Raises:
+        TrainingError: it holds anything but an older bundle of the same name.
+    """
+    if not output.exists() or (output.is_dir() and not any(output.iterdir())):
+        return
+    try:
+        there = read_manifest(output)
+    except BundleError as error:
+        raise TrainingError(
+            f"{output} holds something that is no bundle ({error.reason}); name a new folder"
+        ) from error
+    surplus = {path.name for path in output.iterdir()} - {MANIFEST, *there.files}
+    if there.name != name:
+        raise TrainingError(f"{output} holds the bundle {there.name}; name a new folder")
+    if surplus:
+        raise TrainingError(
+            f"{output} holds {', '.join(sorted(surplus))} besides its bundle; move it elsewhere"
+        )
 
 
 def graphs_of(trained: Trained) -> dict[str, bytes]:
@@ -146,11 +186,11 @@ def graphs_of(trained: Trained) -> dict[str, bytes]:
         act = actor(trained.run, weights)
         name = skill_file(skill.name)
         graphs[name] = _checked(name, skill_graph(skill_scale, weights, n, m), feed, act(obs, goal))
-        name = value_file(skill.name)
-        wished = chaining.probability(index, obs, goals3, goal[:, :POSITIONS])[:, None]
-        graphs[name] = _checked(
-            name, value_graph(value_scale, chaining.values[index][0].weights(), n, m), feed, wished
-        )
+        if methods.value_is_probability(trained.method):
+            name = value_file(skill.name)
+            wished = chaining.probability(index, obs, goals3, goal[:, :POSITIONS])[:, None]
+            graph = value_graph(value_scale, chaining.values[index][0].weights(), n, m)
+            graphs[name] = _checked(name, graph, feed, wished)
         if index < len(task.skills) - 1:
             name = chain_file(skill.name)
             policy = chaining.policies[index].network.weights()
@@ -179,9 +219,10 @@ def build_manifest(
     """The manifest of a bundle, hashes still empty."""
     task = trained.run.task
     names = [skill.name for skill in task.skills]
+    value = ValueEntry(graphs={name: value_file(name) for name in names}, threshold=threshold)
     return Manifest(
         schema=1,
-        name=f"{task.name}-{trained.method}",
+        name=name_of(trained),
         task=task.name,
         cell=task.cell.name,
         method=trained.method,
@@ -208,7 +249,7 @@ def build_manifest(
         ),
         subgoals="chaining",
         chaining=ChainingEntry(graphs={name: chain_file(name) for name in names[:-1]}),
-        value=ValueEntry(graphs={name: value_file(name) for name in names}, threshold=threshold),
+        value=value if methods.value_is_probability(trained.method) else None,
         training_range=training_range(trained.skills),
         seeds=(trained.run.seed,),
         measured=tuple(

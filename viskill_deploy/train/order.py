@@ -8,11 +8,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
+from scipy import stats  # type: ignore[import-untyped]
+
 from viskill_deploy.train.paper import PUBLISHED, TITLES
 from viskill_deploy.train.results import Result
 
-SURE = 2.0
-"""Standard errors by which two success rates have to differ."""
+SURE = 0.95
+"""Two success rates differ where zero is outside this interval of their difference."""
+
+LEAST_SEEDS = 2
+"""Of one seed nobody knows what another would have given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,19 +28,21 @@ class Pair:
         first, second: the methods, in the paper's order.
         rates: their success rates.
         difference: of the first's over the second's.
-        error: its standard error.
+        width: by how much it may be off, half of its confidence interval; infinite for one seed.
     """
 
     first: str
     second: str
     rates: tuple[float, float]
     difference: float
-    error: float
+    width: float
 
     @property
     def verdict(self) -> str:
-        """`kept`, `reversed`, or `open` where the difference may be chance."""
-        if abs(self.difference) <= SURE * self.error:
+        """`kept`, `reversed`, `open` where the difference may be chance, `alone` for one seed."""
+        if math.isinf(self.width):
+            return "alone"
+        if abs(self.difference) <= self.width:
             return "open"
         return "kept" if self.difference > 0.0 else "reversed"
 
@@ -56,9 +63,9 @@ def compare(
     """Two methods on layouts of a distribution over their common seeds; None if they have none.
 
     Methods of a seed share demonstrations, skills and layouts, so that differences are taken seed
-    by seed. The error is that of these differences or that of the episodes counted, whichever is
-    larger; the latter takes (k + 1) / (n + 2) for a rate, so that 100 % of 100 is not held to be
-    certain.
+    by seed. The interval is that of these differences (Student's t) or that of the episodes counted
+    (normal), whichever is wider; the latter takes (k + 1) / (n + 2) for a rate, so that 100 % of
+    100 is not held to be certain.
     """
     ours, theirs = (
         {r.unit.seed: r.scores[distribution] for r in runs if distribution in r.scores}
@@ -75,13 +82,20 @@ def compare(
         k = sum(figures[s].success_rate * figures[s].episodes for s in seeds)
         likely = (k + 1.0) / (n + 2.0)
         counted += likely * (1.0 - likely) / n
-    spread = statistics.variance(differences) / len(seeds) if len(seeds) > 1 else 0.0
+    if len(seeds) < LEAST_SEEDS:
+        width = math.inf
+    else:
+        error = statistics.stdev(differences) / math.sqrt(len(seeds))
+        width = max(
+            float(stats.t.ppf(0.5 + SURE / 2, len(seeds) - 1)) * error,
+            float(stats.norm.ppf(0.5 + SURE / 2)) * math.sqrt(counted),
+        )
     return Pair(
         first,
         second,
         (statistics.fmean(a for a, _ in rates), statistics.fmean(b for _, b in rates)),
         statistics.fmean(differences),
-        math.sqrt(max(counted, spread)),
+        width,
     )
 
 
@@ -107,7 +121,8 @@ def told_order(
     unknown = f" Not run: {', '.join(missing)}." if missing else ""
     if not pairs:
         return f"cannot be said.{unknown}"
-    groups = {v: [p for p in pairs if p.verdict == v] for v in ("kept", "reversed", "open")}
+    verdicts = ("kept", "reversed", "open", "alone")
+    groups = {v: [p for p in pairs if p.verdict == v] for v in verdicts}
     turned = "; ".join(p.told for p in groups["reversed"])
     alike: dict[str, list[str]] = {}
     for p in groups["open"]:
@@ -116,7 +131,8 @@ def told_order(
     holds = "no pair" if not groups["kept"] else str(len(groups["kept"]))
     return (
         f"of {len(pairs)} pairs {holds} as in the paper, {len(groups['reversed'])} reversed, "
-        f"{len(groups['open'])} too close to tell."
+        f"{len(groups['open'])} too close to tell"
+        + (f", {len(groups['alone'])} of one seed alone." if groups["alone"] else ".")
         + (f" Reversed: {turned}." if turned else "")
         + (f" Cannot be told apart: {chance}." if chance else "")
         + unknown

@@ -48,9 +48,10 @@ This page is built by `{command}` from the files in `{source}`, which
 `viskill sweep sweeps/paper.toml` writes. They come from commit {commits}.
 """
 
-ORDER = """Two methods count as told apart if their success, over the seeds that both have run,
-differs by more than two standard errors (`viskill_deploy/train/order.py`). Methods that do the task
-every time cannot be ranked by success. The paper's layouts are `reference`; `wide` ones are ours.
+ORDER = """Two methods count as told apart if zero is outside the 95 % confidence interval of the
+difference of their success over the seeds that both have run, two at least
+(`viskill_deploy/train/order.py`). Methods that do the task every time cannot be ranked by success.
+The paper's layouts are `reference`; `wide` ones are ours.
 """
 
 

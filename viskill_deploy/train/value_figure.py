@@ -44,9 +44,10 @@ def draw_values(path: Path, tasks: Mapping[str, Sequence[Calibration]]) -> None:
 
 def _groups(panel: Any, title: str, together: Reliability) -> None:
     for name, group in together.groups.items():
-        success = 0.0 if group.success is None else group.success
+        success = group.success or 0.0
+        told = "no episodes" if group.success is None else f"{success:.2f}\nn = {group.count}"
         panel.bar(name, success, color=COLOURS[name], width=0.6)
-        panel.annotate(f"{success:.2f}\nn = {group.count}", (name, success + 0.02), ha="center")
+        panel.annotate(told, (name, success + 0.02), ha="center")
     panel.set(title=title, xlabel="state value", ylabel="success rate", ylim=(0.0, 1.25))
 
 

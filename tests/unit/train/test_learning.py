@@ -23,7 +23,7 @@ from viskill_deploy.train.chaining import Chaining, ChainSettings
 from viskill_deploy.train.demos import DemoSettings, record_demos
 from viskill_deploy.train.dex import DexSettings
 from viskill_deploy.train.evaluate import evaluate
-from viskill_deploy.train.export import export, load_trained
+from viskill_deploy.train.export import check_place, export, load_trained
 from viskill_deploy.train.rollout import fresh, run_task
 from viskill_deploy.train.run import (
     Run,
@@ -331,6 +331,62 @@ def test_a_finished_run_becomes_a_bundle_that_loads(trained: Run, tmp_path: Path
     assert set(bundle.values) == {"grasp", "handover", "release"}
     assert [m.distribution for m in bundle.manifest.measured] == ["reference", "wide"]
     assert "viskill train bipegtransfer --method viskill" in (folder / "MODEL_CARD.md").read_text()
+
+
+def test_a_value_that_is_no_probability_is_not_exported_as_one(
+    trained: Run, tmp_path: Path
+) -> None:
+    """The runtime turns back where the probability of success is low."""
+    run = without_chain(trained, tmp_path / "run")
+    methods.learn("viskill_dm", run)
+    folder = export(load_trained(run, "viskill_dm"), tmp_path / "b", episodes=0, say=quiet)
+    bundle = load_bundle(folder)
+    assert bundle.manifest.value is None
+    assert not bundle.values
+    card = (folder / "MODEL_CARD.md").read_text()
+    assert "how near its end comes to a demonstrated start" in card
+    assert "It has no value that tells how likely" in card
+
+
+def test_a_card_says_with_which_settings_it_was_trained(trained: Run, tmp_path: Path) -> None:
+    card = (
+        export(load_trained(trained, "viskill"), tmp_path / "b", episodes=0, say=quiet)
+        / "MODEL_CARD.md"
+    ).read_text()
+    assert "--settings settings.json" in card
+    assert '"environments": 4' in card
+    assert "It was trained with exact poses" in card
+
+
+def test_a_bundle_takes_the_place_of_an_older_one_of_its_name_alone(
+    trained: Run, tmp_path: Path
+) -> None:
+    what, folder = load_trained(trained, "viskill"), tmp_path / "b"
+    export(what, folder, episodes=0, say=quiet)
+    (folder / "skill-grasp.onnx").unlink()
+    export(what, folder, episodes=0, say=quiet)
+    assert load_bundle(folder).manifest.name == "bipegtransfer-viskill"
+    assert [path.name for path in tmp_path.iterdir()] == ["b"]
+    (folder / "notes.txt").touch()
+    with pytest.raises(TrainingError, match=r"holds notes\.txt besides"):
+        export(what, folder, episodes=0, say=quiet)
+    (folder / "notes.txt").unlink()
+    with pytest.raises(TrainingError, match="holds the bundle bipegtransfer-viskill"):
+        check_place(folder, "bipegtransfer-self_imitation")
+    file = tmp_path / "file"
+    file.touch()
+    for place in (file, trained.folder):
+        with pytest.raises(TrainingError, match="no bundle"):
+            export(what, place, episodes=0, say=quiet)
+
+
+@pytest.mark.parametrize(
+    ("method", "words"),
+    [("dex", "no chaining policy"), ("tstar", "no chaining policy"), ("magic", "choose one of")],
+)
+def test_what_cannot_be_exported_is_refused(trained: Run, method: str, words: str) -> None:
+    with pytest.raises(TrainingError, match=words):
+        load_trained(trained, method)
 
 
 def test_an_unfinished_run_is_not_exported(trained: Run, tmp_path: Path) -> None:

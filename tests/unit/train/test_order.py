@@ -28,8 +28,16 @@ def test_differences_are_taken_seed_by_seed() -> None:
     spread = math.sqrt(((0.10 - made.difference) ** 2 * 2 + (0.08 - made.difference) ** 2) / 2 / 3)
     one, other = 211 / 302, 183 / 302
     counted = math.sqrt((one * (1 - one) + other * (1 - other)) / 300)
-    assert made.error == pytest.approx(max(spread, counted))
+    assert made.width == pytest.approx(max(4.3027 * spread, 1.95996 * counted), rel=1e-4)
     assert made.verdict == "kept"
+
+
+def test_one_seed_tells_nothing_about_another() -> None:
+    assert pair(runs("viskill", 1.0), runs("tstar", 0.0)).verdict == "alone"
+    made = {"viskill": runs("viskill", 1.0), "tstar": runs("tstar", 0.0)}
+    assert told_order(TASK, made).startswith(
+        "of 1 pairs no pair as in the paper, 0 reversed, 0 too close to tell, 1 of one seed alone."
+    )
 
 
 def test_seeds_that_only_one_of_them_has_run_do_not_count() -> None:
@@ -44,10 +52,10 @@ def test_seeds_that_only_one_of_them_has_run_do_not_count() -> None:
     [
         ((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), "open"),
         ((1.0, 1.0, 1.0), (1.0, 1.0, 0.99), "open"),
-        ((1.0,), (0.98,), "open"),
-        ((1.0,), (0.7,), "kept"),
-        ((0.7,), (1.0,), "reversed"),
-        ((0.0,), (0.0,), "open"),
+        ((1.0, 1.0), (0.7, 0.7), "kept"),
+        ((0.7, 0.7), (1.0, 1.0), "reversed"),
+        ((1.0, 1.0), (0.9, 0.5), "open"),
+        ((0.0, 0.0), (0.0, 0.0), "open"),
         ((1.0, 1.0, 0.4), (0.7, 0.7, 0.7), "open"),
     ],
 )
@@ -67,7 +75,7 @@ def test_every_pair_and_what_was_not_run_is_told() -> None:
         "of 3 pairs 2 as in the paper, 1 reversed, 0 too close to tell. "
         "Reversed: ViSkill and T-STAR (90.0 and 100.0 %). Not run: GCBC."
     )
-    made = {method: runs(method, 1.0) for method in ("viskill", "tstar", "dex")}
+    made = {method: runs(method, 1.0, 1.0) for method in ("viskill", "tstar", "dex")}
     told = told_order(TASK, made)
     assert "Cannot be told apart: ViSkill from T-STAR, DEX; T-STAR from DEX. Not run: GCBC." in told
     assert told_order(TASK, {}) == "cannot be said. Not run: ViSkill, T-STAR, GCBC, DEX."
@@ -75,8 +83,8 @@ def test_every_pair_and_what_was_not_run_is_told() -> None:
 
 def test_each_distribution_is_compared_for_itself() -> None:
     made = {
-        "viskill": [result(TASK, "viskill", 0, 1.0, wide=0.9)],
-        "tstar": [result(TASK, "tstar", 0, 1.0, wide=0.4)],
+        "viskill": [result(TASK, "viskill", seed, 1.0, wide=0.9) for seed in (0, 1)],
+        "tstar": [result(TASK, "tstar", seed, 1.0, wide=0.4) for seed in (0, 1)],
     }
     assert told_order(TASK, made).startswith("of 1 pairs no pair as in the paper")
     assert told_order(TASK, made, "wide").startswith("of 1 pairs 1 as in the paper")

@@ -1,6 +1,8 @@
 """One file a method: a name is a file with `learn(run) -> TaskPolicy`.
 
-A file that says `NEEDS_SKILLS = False` uses the demonstrations of a run and not its skills.
+A file that says `NEEDS_SKILLS = False` uses the demonstrations of a run and not its skills, one
+with `CHAINS = False` has no chaining policy, and one with `VALUE_IS_PROBABILITY = True` has a value
+that is the probability of the whole task's success.
 """
 
 from __future__ import annotations
@@ -36,6 +38,33 @@ def needs_skills(name: str) -> bool:
         TrainingError: there is no such method.
     """
     return bool(getattr(_module(name), "NEEDS_SKILLS", True))
+
+
+def chains(name: str) -> bool:
+    """Whether a method learns a chaining policy over the skills.
+
+    Raises:
+        TrainingError: there is no such method.
+    """
+    return bool(getattr(_module(name), "CHAINS", True))
+
+
+def value_is_probability(name: str) -> bool:
+    """Whether a method's value says how likely the whole task succeeds.
+
+    Raises:
+        TrainingError: there is no such method.
+    """
+    return bool(getattr(_module(name), "VALUE_IS_PROBABILITY", False))
+
+
+def about(name: str) -> str:
+    """The first sentence of a method's file.
+
+    Raises:
+        TrainingError: there is no such method.
+    """
+    return (_module(name).__doc__ or "").split("\n", 1)[0]
 
 
 def _module(name: str) -> ModuleType:

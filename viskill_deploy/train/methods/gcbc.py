@@ -13,6 +13,7 @@ from viskill_deploy.train.rollout import TaskPolicy
 from viskill_deploy.train.run import Run
 
 NEEDS_SKILLS = False
+CHAINS = False
 
 
 def learn(run: Run) -> TaskPolicy:

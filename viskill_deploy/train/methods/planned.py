@@ -15,6 +15,8 @@ from viskill_deploy.train.chain_learning import FrozenSkills
 from viskill_deploy.train.rollout import Act, TaskPolicy, final_goals, plan_of
 from viskill_deploy.train.run import Run, actor, skills_of
 
+CHAINS = False
+
 
 class Scripted(FrozenSkills):
     """Skills under the subgoals of the scripted plan, as drawn from a seed.

@@ -12,6 +12,8 @@ from viskill_deploy.train.methods.viskill import learn_chain
 from viskill_deploy.train.rollout import TaskPolicy
 from viskill_deploy.train.run import Run
 
+VALUE_IS_PROBABILITY = True
+
 
 def learn(run: Run) -> TaskPolicy:
     """Skills, then chaining policies without policy gradient."""

@@ -35,6 +35,8 @@ from viskill_deploy.train.run import (
 )
 from viskill_deploy.train.skill_learning import SkillSettings
 
+CHAINS = False
+
 WEIGHT = 5.0
 """Reward lost at the end of an episode that looks nothing like a start of the next skill."""
 

@@ -9,6 +9,7 @@ from viskill_deploy.train.rollout import TaskPolicy
 from viskill_deploy.train.run import Run, actor, skills_of
 
 STAGE = "chain-viskill"
+VALUE_IS_PROBABILITY = True
 
 
 def learn(run: Run) -> TaskPolicy:
