@@ -57,5 +57,8 @@ CanFile = Annotated[
 ]
 Yes = Annotated[
     bool,
-    typer.Option("--yes", help="Do not ask for the name; the consent pedal is still asked."),
+    typer.Option(
+        "--yes",
+        help="Do not ask for the name: switch on and home at once. The pedal is still needed.",
+    ),
 ]
