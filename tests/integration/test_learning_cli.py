@@ -98,9 +98,9 @@ def test_a_unit_that_is_killed_is_started_again_and_goes_on_where_it_was(
     result = read_result(cwd / "results" / "bipegtransfer-dex-seed0.json")
     assert set(result.scores) == {"reference", "wide"}
     rounds = result.training.curves["dex"]["round"]
-    assert rounds in ([0.0, 1.0, 2.0], [1.0, 2.0])  # the first round's line may be lost
+    assert rounds == [0.0, 1.0, 2.0]
     lines = (cwd / FOLDER / "log.jsonl").read_text(encoding="utf-8").splitlines()
-    assert len(lines) == len(read_log(cwd / FOLDER)), "no round was done twice"
+    assert len(lines) <= len(read_log(cwd / FOLDER)) + 1, "one round at most was done twice"
     assert (cwd / FOLDER / "curves.png").is_file()
 
 
@@ -120,6 +120,9 @@ def test_tables_are_built_from_the_results(
     run = viskill("reproduce", "results", "-o", "page.md")
     assert run.exit_code == 0, run.output
     assert run.stdout.split() == ["page.md", "page-value.svg"]
+    assert viskill("reproduce", "results", "--json").exit_code == 2
+    run = viskill("reproduce", "results")
+    assert run.stdout.split() == ["reproduction.md", "reproduction-value.svg"]
     assert "| DEX | 1 x 1 episodes | 14.03 |" in Path("page.md").read_text("utf-8")
 
 
@@ -146,8 +149,23 @@ def test_training_goes_on_in_the_same_folder_and_refuses_another_run(
     run = viskill("train", "bipegtransfer", "--method", "dex", *options)
     assert run.exit_code == 0, run.output
     assert "learned: demos" in run.stdout
-    assert "viskill evaluate" in run.stdout
+    assert f"viskill evaluate {swept[0] / FOLDER} --method dex" in run.stdout
     run = viskill("train", "bipegtransfer", "--method", "dex", *options, "--environments", 2)
     assert isinstance(run.exception, TrainingError)
     assert "empty folder" in str(run.exception)
     assert viskill("train", "bipegtransfer", "--method", "magic", *options).exit_code == 2
+
+
+@pytest.mark.no_cover
+def test_what_a_path_or_a_disk_refuses_is_no_bug(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    run = subprocess.run(
+        command("train", "bipegtransfer", "--output", file),
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 3
+    assert "name another path" in run.stderr
+    assert "bug" not in run.stderr

@@ -37,7 +37,8 @@ def command(
 ) -> None:
     """Evaluate a trained method in deterministic episodes that training has never seen."""
     try:
-        from viskill_deploy.train import unit  # noqa: PLC0415 - torch is an extra
+        from viskill_deploy.cli.learning_display import StageBars  # noqa: PLC0415 - torch
+        from viskill_deploy.train import unit  # noqa: PLC0415 - is an extra
         from viskill_deploy.train.evaluate import evaluate  # noqa: PLC0415
         from viskill_deploy.train.results import figures_of  # noqa: PLC0415
         from viskill_deploy.train.run import Run  # noqa: PLC0415
@@ -53,8 +54,9 @@ def command(
     layouts = opened.seed if seed is None else seed
     scores = {}
     for where in (distribution,) if distribution else known:
-        with console.status(f"{episodes} episodes, {where}"):
-            figures = figures_of(evaluate(opened.trial, policy, where, episodes, layouts))
+        with StageBars(console) as bars:
+            opened.watch, count = bars.watch, opened.counting(where)
+            figures = figures_of(evaluate(opened.trial, policy, where, episodes, layouts, count))
         scores[where] = dataclasses.asdict(figures)
         console.print(_line(where, figures), markup=False, highlight=False, soft_wrap=True)
     if json_:

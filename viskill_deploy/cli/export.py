@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from rich.console import Console
 from typer.core import TyperGroup
 
 from viskill_deploy.cli.names import FrameName, PointName
@@ -20,7 +21,7 @@ from viskill_deploy.motion.waypoints import start_waypoint
 from viskill_deploy.observe.trajectory_files import JointNames, write_joint_plan, write_written
 from viskill_deploy.runtime.trajectory import plan_waypoints
 
-EXAMPLE = "Example: viskill export runs/viskill policies/bipegtransfer-viskill"
+EXAMPLE = "Example: viskill export runs/viskill runs/mine"
 TRAJECTORY_EXAMPLE = "Example: viskill export trajectory mine.plan.json mine.csv --rate 1000"
 
 CAN_EXAMPLE = "Example: viskill export can bipegtransfer can-files"
@@ -63,11 +64,15 @@ def command(
 ) -> None:
     """Export a training run as ONNX graphs with manifest and model card, and measure it."""
     try:
+        from viskill_deploy.cli.learning_display import StageBars  # noqa: PLC0415 - torch
         from viskill_deploy.train.export import export, load_trained  # noqa: PLC0415 - an extra
         from viskill_deploy.train.run import Run  # noqa: PLC0415
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "viskill export") from error
-    export(load_trained(Run.open(run), method), output, episodes, seed, threshold=threshold)
+    with StageBars(Console()) as bars:
+        opened = Run.open(run, bars.say)
+        opened.watch = bars.watch
+        export(load_trained(opened, method), output, episodes, seed, bars.say, threshold)
 
 
 @app.command("trajectory", epilog=TRAJECTORY_EXAMPLE)

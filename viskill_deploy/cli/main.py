@@ -6,6 +6,7 @@ Exit codes: 0 ran as it should · 1 a required figure was not met · 2 usage · 
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -36,10 +37,16 @@ from viskill_deploy.cli import (
     sweep,
     train,
 )
-from viskill_deploy.core.errors import Interrupted, ViskillError
+from viskill_deploy.core.errors import DataFileError, Interrupted, ViskillError
 from viskill_deploy.observe.labels import with_labels
 
 BUG = 70
+
+MACHINE = {
+    *(errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENAMETOOLONG),
+    *(errno.EEXIST, errno.ENOTDIR, errno.EISDIR),
+}
+"""What a path or a disk refuses, which is no bug."""
 
 app = typer.Typer(
     name="viskill",
@@ -79,10 +86,25 @@ def main() -> None:
     except KeyboardInterrupt:
         print("viskill: interrupted", file=sys.stderr)
         sys.exit(Interrupted.exit_code)
+    except OSError as error:
+        if error.errno not in MACHINE:
+            traceback.print_exc()
+            sys.exit(_bug())
+        where = f"{error.filename}: " if error.filename else ""
+        print(
+            f"viskill: {where}{error.strerror}; make room or name another path, then give the "
+            "command again",
+            file=sys.stderr,
+        )
+        sys.exit(DataFileError.exit_code)
     except Exception:  # noqa: BLE001 - the last edge: a bug gets an exit code of its own
         traceback.print_exc()
-        print("viskill: this is a bug; please report it with the lines above", file=sys.stderr)
-        sys.exit(BUG)
+        sys.exit(_bug())
+
+
+def _bug() -> int:
+    print("viskill: this is a bug; please report it with the lines above", file=sys.stderr)
+    return BUG
 
 
 if __name__ == "__main__":

@@ -26,7 +26,10 @@ def command(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", help="The page, docs/reproduction.md by default; figures beside it."
+            "--output",
+            "-o",
+            help="The page, figures beside it; reproduction.md beside the folder of results by "
+            "default. With --deployment the page is printed unless this is given.",
         ),
     ] = None,
     deployment: Annotated[
@@ -59,7 +62,7 @@ def command(
 ) -> None:
     """Build the paper's Tables I and II, the figure of values and the times from result files.
 
-    With --deployment, run its trials on a robot instead, on simulated ones.
+    With --deployment, repeat the paper's trials on a robot instead, on simulated ones (hours).
     """
     if deployment:
         from viskill_deploy.calibrate import deployment as job  # noqa: PLC0415 - slow to load
@@ -69,11 +72,13 @@ def command(
             what = replace(what, conditions=job.UNCALIBRATED)
         _deploy(what, results, output, processes, json_)
         return
+    if json_:
+        raise typer.BadParameter("--json goes with --deployment; result files are JSON already")
     try:
         from viskill_deploy.train.reproduce import reproduce  # noqa: PLC0415 - torch is an extra
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "viskill reproduce") from error
-    for path in reproduce(results, output or Path("docs/reproduction.md")):
+    for path in reproduce(results, output or results.parent / "reproduction.md"):
         print(path)
 
 

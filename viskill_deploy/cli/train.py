@@ -29,7 +29,7 @@ def command(
     settings: Annotated[
         Path | None, typer.Option(help="TOML file of settings; defaults for what it leaves out.")
     ] = None,
-    threads: Annotated[int, typer.Option(min=1, help="Threads of physics and gradient steps.")] = 1,
+    threads: Annotated[int, typer.Option(min=1, help="Threads of physics.")] = 1,
     environments: Annotated[
         int | None, typer.Option(min=1, help="Episodes side by side, instead of the settings'.")
     ] = None,
@@ -56,4 +56,5 @@ def command(
         raise Interrupted("the run was ended; given again, the command goes on") from error
     seconds = ", ".join(f"{stage} {took:.0f} s" for stage, took in training.seconds.items())
     console.print(f"learned: {seconds}", highlight=False, soft_wrap=True)
-    console.print(f"now: viskill evaluate {output}", highlight=False, soft_wrap=True)
+    now = f"now: viskill evaluate {output} --method {method}"
+    console.print(now, highlight=False, soft_wrap=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from viskill_deploy.sim.vector_loop import VectorLoop
 from viskill_deploy.train.replay import Episodes, Float32Array
 from viskill_deploy.train.rollout import (
     Act,
+    Count,
     Start,
     final_goals,
     fresh,
@@ -75,13 +77,29 @@ def script(task: Task, index: int) -> Act:
 
 
 def record_demos(
-    loop: VectorLoop, settings: DemoSettings, distributions: Sequence[str], seed: int
+    loop: VectorLoop,
+    settings: DemoSettings,
+    distributions: Sequence[str],
+    seed: int,
+    count: Count | None = None,
 ) -> list[SkillDemos]:
-    """Demonstrations of every skill, (skills,)."""
-    rng = np.random.default_rng((seed, 0))
-    clean, starts, clean_aims = _lots(loop, settings.episodes, 0.0, distributions, rng)
+    """Demonstrations of every skill, (skills,); `count` is told after every lot."""
+    rng, wanted = np.random.default_rng((seed, 0)), settings.episodes + settings.corrected
+
+    def told(before: int, done: int) -> None:
+        if count:
+            count(min(wanted, before + done), wanted)
+
+    clean, starts, clean_aims = _lots(
+        loop, settings.episodes, 0.0, distributions, rng, functools.partial(told, 0)
+    )
     corrected, _, corrected_aims = _lots(
-        loop, settings.corrected, settings.disturbance, distributions, rng
+        loop,
+        settings.corrected,
+        settings.disturbance,
+        distributions,
+        rng,
+        functools.partial(told, settings.episodes),
     )
     return [
         SkillDemos(_one(a), _one(b), tuple(s), clean_aims, corrected_aims)
@@ -95,6 +113,7 @@ def _lots(
     disturbance: float,
     distributions: Sequence[str],
     rng: np.random.Generator,
+    told: Callable[[int], None],
 ) -> tuple[list[list[Episodes]], list[list[Start]], Float32Array]:
     """Whole tasks until there are `wanted`; row e of every skill is of the same episode."""
     task = loop.task
@@ -119,6 +138,7 @@ def _lots(
         for part, got in zip(episodes, lot, strict=True):
             part.append(got.only(rows))
         aims.append(aim[rows])
+        told(min(wanted, sum(map(len, episodes[0]))))
         tries = 0 if len(rows) else tries + 1
         if tries >= TRIES:
             raise TrainingError(

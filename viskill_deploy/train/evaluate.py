@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from viskill_deploy.sim.vector_loop import VectorLoop
-from viskill_deploy.train.rollout import TaskEpisodes, TaskPolicy, fresh, joined, run_task
+from viskill_deploy.train.rollout import Count, TaskEpisodes, TaskPolicy, fresh, joined, run_task
 
 EVALUATION = 2**31
 """Added to the seeds of evaluation episodes: neither training nor selection uses them."""
@@ -36,7 +36,12 @@ class Score:
 
 
 def evaluate(
-    loop: VectorLoop, policy: TaskPolicy, distribution: str, episodes: int, seed: int
+    loop: VectorLoop,
+    policy: TaskPolicy,
+    distribution: str,
+    episodes: int,
+    seed: int,
+    count: Count | None = None,
 ) -> Score:
     """Runs episodes and counts.
 
@@ -46,12 +51,15 @@ def evaluate(
         distribution: of the layouts.
         episodes: at least this many; whole lots are run and the surplus is left out.
         seed: of the layouts.
+        count: told after every lot.
     """
     rng = np.random.default_rng((EVALUATION, seed))
     lots: list[TaskEpisodes] = []
     while sum(map(len, lots)) < episodes:
         fresh(loop, rng, (distribution,))
         lots.append(run_task(loop, policy))
+        if count:
+            count(min(episodes, sum(map(len, lots))), episodes)
     return score(loop, joined(lots), distribution, episodes)
 
 

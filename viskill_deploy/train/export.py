@@ -120,7 +120,8 @@ def export(
     policy = Chained([actor(run, skill["weights"]) for skill in trained.skills], trained.chaining)
     scores = []
     for distribution in run.task.distributions if episodes else ():
-        scores.append(evaluate(run.trial, policy, distribution, episodes, seed))
+        count = run.counting(distribution)
+        scores.append(evaluate(run.trial, policy, distribution, episodes, seed, count))
         say(f"{distribution}: {scores[-1].success_rate:.1%} of {episodes} episodes")
     command = f"viskill export {os.path.relpath(run.folder)} {os.path.relpath(output)}"
     command += f" --method {trained.method} --episodes {episodes} --seed {seed}"

@@ -15,6 +15,9 @@ from viskill_deploy.sim.tasks.base import AnyFloatArray, Task
 from viskill_deploy.sim.vector_loop import EpisodeState, VectorLoop
 from viskill_deploy.train.replay import Episodes, Float32Array
 
+Count = Callable[[int, int], None]
+"""Told how many episodes are done, and of how many."""
+
 Act = Callable[[AnyFloatArray, AnyFloatArray], FloatArray]
 """(observations (N, n), subgoals (N, m)) → actions (N, k)."""
 

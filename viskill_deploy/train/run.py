@@ -28,7 +28,7 @@ from viskill_deploy.train.network import Network, scaling_of
 from viskill_deploy.train.provenance import commit
 from viskill_deploy.train.replay import Episodes
 from viskill_deploy.train.results import write_json
-from viskill_deploy.train.rollout import Act, Start, run_skill, saved
+from viskill_deploy.train.rollout import Act, Count, Start, run_skill, saved
 from viskill_deploy.train.settings import (
     RunSettings,
     check_distributions,
@@ -219,6 +219,15 @@ class Run:
         )
         self.say(facts)
 
+    def counting(self, stage: str) -> Count:
+        """Tells `watch` of episodes as it is told of rounds."""
+
+        def count(done: int, wanted: int) -> None:
+            if self.watch:
+                self.watch({"stage": stage, "round": done - 1, "rounds": wanted})
+
+        return count
+
     def done(self, stage: str) -> Path | None:
         """The result file of a stage, if it is there."""
         if stage not in self.stages:
@@ -244,7 +253,10 @@ def demos_of(run: Run) -> list[SkillDemos]:
     if path := run.done("demos"):
         return [_demos_from(tree) for tree in store.load(path)["skills"]]
     started = wall_time()
-    demos = record_demos(run.loop, run.settings.demos, run.settings.distributions, run.seed)
+    settings = run.settings
+    demos = record_demos(
+        run.loop, settings.demos, settings.distributions, run.seed, run.counting("demos")
+    )
     run.log({"stage": "demos", "seconds": round(wall_time() - started, 1)})
     run.finish("demos", {"skills": [_demos_tree(d) for d in demos]})
     return demos
@@ -311,12 +323,14 @@ def _ends(run: Run, learner: SkillLearner, act: Act) -> list[Start]:
         return []
     rng = np.random.default_rng((run.seed, learner.index, 2))
     ends: list[Start] = []
-    tries = 0
-    while len(ends) < run.settings.skill.ends:
+    tries, wanted = 0, run.settings.skill.ends
+    count = run.counting(f"ends of {run.task.skills[learner.index].name}")
+    while len(ends) < wanted:
         goals, plans = learner.begin(rng, spread=True)
         run_skill(run.loop, learner.index, act, goals)
         found = saved(run.loop, plans)
         ends += found
+        count(min(wanted, len(ends)), wanted)
         tries = 0 if found else tries + 1
         if tries >= TRIES:
             raise TrainingError(

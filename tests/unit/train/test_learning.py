@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from typer.testing import CliRunner
 
 from viskill_deploy.bundle.format import load_bundle
+from viskill_deploy.cli.main import app
 from viskill_deploy.core.errors import TrainingError
 from viskill_deploy.core.types import Scene
 from viskill_deploy.sim.vector_loop import VectorLoop
@@ -378,6 +380,27 @@ def test_a_bundle_takes_the_place_of_an_older_one_of_its_name_alone(
     for place in (file, trained.folder):
         with pytest.raises(TrainingError, match="no bundle"):
             export(what, place, episodes=0, say=quiet)
+
+
+def test_export_is_a_command_that_tells_how_far_it_is(trained: Run, tmp_path: Path) -> None:
+    arguments = ["export", str(trained.folder), str(tmp_path / "b"), "--episodes", "4"]
+    ran = CliRunner().invoke(app, arguments)
+    assert ran.exit_code == 0, ran.output
+    assert "reference: " in ran.stdout and "of 4 episodes" in ran.stdout
+    assert load_bundle(tmp_path / "b").manifest.measured
+
+
+def test_demonstrations_and_episodes_are_counted(trained: Run, tmp_path: Path) -> None:
+    run = run_in(tmp_path)
+    told: list[dict[str, object]] = []
+    run.watch = told.append
+    demos_of(run)
+    counted = [line for line in told if line["stage"] == "demos" and "round" in line]
+    assert counted[-1] == {"stage": "demos", "round": 7, "rounds": 8}
+    done: list[tuple[int, int]] = []
+    policy = methods.learn("viskill", trained)
+    evaluate(trained.loop, policy, "wide", 5, 0, lambda *both: done.append(both))
+    assert done == [(4, 5), (5, 5)]
 
 
 @pytest.mark.parametrize(
