@@ -209,7 +209,12 @@ def test_a_person_at_arms_over_crtk_is_asked_for_every_point_and_nothing_is_sent
     monkeypatch.setattr(touching, "listen", listen)
     monkeypatch.setattr(touching, "Terminal", lambda *how, **more: person)
     collect = ["calibrate", "collect", str(tmp_path), "--source", "touch", "--driver", "crtk"]
-    done = RUN.invoke(app, [*collect, "--points", "8", "--json"])
+    done = RUN.invoke(app, [*collect, "--points", "8"])
+    assert "name the robot's own cell" in str(done.exception)
+    assert not person.asked
+    lab = tmp_path / "lab.toml"
+    lab.write_text(with_serials("bipegtransfer"))
+    done = RUN.invoke(app, [*collect, "--robot", str(lab), "--points", "8", "--json"])
     assert done.exit_code == 0, done.output
     assert len(json.loads(done.stdout)["touched"]["PSM2"]) == 8
     assert "PSM1: touch corner" in person.asked[0]

@@ -23,7 +23,7 @@ from viskill_deploy.calibrate.simulated_hand import HandOptions, SimulatedHand
 from viskill_deploy.calibrate.touching import Hand, touch
 from viskill_deploy.calibrate.truths import HiddenRobot
 from viskill_deploy.cli.terminal import Terminal
-from viskill_deploy.core.calibration_files import insist_simulated
+from viskill_deploy.core.calibration_files import insist_real, insist_simulated
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.drivers.crtk.listening import listen
@@ -108,7 +108,8 @@ def touched_by(
 
     Raises:
         DriverError: the arms are not heard.
-        CalibrationError: the cell's arms are real, and simulated ones would stand in for them.
+        CalibrationError: the cell's arms are real, and simulated ones would stand in for them; or
+            they are simulated, and would stand in for a robot's.
         BadParameter: a truth can only be hidden in simulated arms.
     """
     if who.robot is TouchedRobot.LOOPBACK:
@@ -122,6 +123,7 @@ def touched_by(
         return
     if who.hidden is not None:
         raise typer.BadParameter("--truth hides errors in simulated arms; leave --driver out")
+    insist_real(cell)
     driver = listen(cell, who.transport, who.network)
     try:
         yield driver, Person(Terminal(Console(stderr=True), patience_s=0.05))

@@ -162,6 +162,19 @@ def is_simulated(cell: CellDescription) -> bool:
     return all(arm.entry.serial == SIMULATED for arm in cell.arms)
 
 
+def insist_real(cell: CellDescription) -> None:
+    """Refuses to let a cell of simulated arms stand in for a robot: what it says of it is nobody's.
+
+    Raises:
+        CalibrationError: its arms are simulated.
+    """
+    if is_simulated(cell):
+        raise CalibrationError(
+            f"{cell.files[0]}: its arms are simulated and the robot is real; name the robot's own "
+            "cell, with the serial numbers of its arms, with --robot"
+        )
+
+
 def insist_simulated(cell: CellDescription) -> None:
     """Refuses to let simulated arms stand in for a cell whose arms have serial numbers.
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import partial
 
-from viskill_deploy.core.calibration_files import is_simulated
+from viskill_deploy.core.calibration_files import insist_real
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.errors import CalibrationError, DriverError, SafetyStop
+from viskill_deploy.core.errors import DriverError, SafetyStop
 from viskill_deploy.core.types import ArmState, CellState
 from viskill_deploy.drivers.base import ENABLED, Driver
 from viskill_deploy.runtime.checklist import Checklist, Found
@@ -33,11 +33,7 @@ def look_at_robot(checklist: Checklist, driver: Driver, cell: CellDescription) -
 def _cell(driver: Driver, cell: CellDescription) -> Found[None]:
     if driver.capabilities.simulated:
         return Found(None, "simulated: no real arm moves")
-    if is_simulated(cell):
-        raise CalibrationError(
-            f"{cell.files[0]}: its arms are simulated and the robot is real; name the robot's own "
-            "cell, with the serial numbers of its arms, with --robot"
-        )
+    insist_real(cell)
     return Found(None, ", ".join(f"{arm.name} {arm.entry.serial}" for arm in cell.arms))
 
 
