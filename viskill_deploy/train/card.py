@@ -52,7 +52,7 @@ scripted controller, {corrections} rounds in which the script corrects the learn
 goals in hindsight; the weights of the best test are kept. Chaining: over frozen skills, values
 without discount. Seed {seed}.
 
-    viskill train {task} --method {method} --seed {seed} --output RUN{file}
+    viskill train {task} --method {method} --seed {seed} --output {run}{file}
     {command}
 
 do it again{settings}.
@@ -104,6 +104,7 @@ def model_card(
         step=manifest.step_s,
         scores=_table(scores),
         command=command,
+        run=command.split()[2],
         demos=settings.demos.episodes,
         corrected=settings.demos.corrected,
         corrections=settings.skill.corrections,
