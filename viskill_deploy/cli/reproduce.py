@@ -32,6 +32,10 @@ def command(
             "default. With --deployment the page is printed unless this is given.",
         ),
     ] = None,
+    sweep: Annotated[
+        Path,
+        typer.Option(help="File of the sweep that wrote the results, to be named on the page."),
+    ] = Path("sweeps/paper.toml"),
     deployment: Annotated[
         bool,
         typer.Option(
@@ -78,7 +82,7 @@ def command(
         from viskill_deploy.train.reproduce import reproduce  # noqa: PLC0415 - torch is an extra
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "viskill reproduce") from error
-    for path in reproduce(results, output or results.parent / "reproduction.md"):
+    for path in reproduce(results, output or results.parent / "reproduction.md", sweep):
         print(path)
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from viskill_deploy.core.errors import TrainingError
 from viskill_deploy.train.order import told_order
@@ -21,9 +22,11 @@ from viskill_deploy.train.paper import (
 )
 from viskill_deploy.train.reliability import Bin, pooled
 from viskill_deploy.train.results import Figures, Result, read_result
+from viskill_deploy.train.settings import RunSettings, settings_facts
 from viskill_deploy.train.value_figure import draw_values
 
 NOT_RUN = "not run"
+PAPER = Path("sweeps/paper.toml")
 SHARED = ("demos", "skill-")
 """How the stages begin that all methods of a run share."""
 
@@ -45,7 +48,7 @@ written in [learning.md](learning.md). The paper's: its Tables I and II, five se
 "{not_run}" is a cell without a result file.
 
 This page is built by `{command}` from the files in `{source}`, which
-`viskill sweep sweeps/paper.toml` writes. They come from commit {commits}.
+`viskill sweep {sweep}` writes. They come from commit {commits}.{unusual}
 """
 
 ORDER = """Two methods count as told apart if zero is outside the 95 % confidence interval of the
@@ -94,12 +97,13 @@ def read_results(folder: Path) -> Results:
     return Results(tuple(found[key] for key in sorted(found)))
 
 
-def reproduce(folder: Path, output: Path) -> list[Path]:
+def reproduce(folder: Path, output: Path, sweep: Path = PAPER) -> list[Path]:
     """Writes the page and its figures.
 
     Args:
         folder: of the result files.
         output: the page, a Markdown file; figures stand beside it.
+        sweep: file of the sweep that wrote the results, to be named on the page.
 
     Returns:
         The files written.
@@ -116,16 +120,22 @@ def reproduce(folder: Path, output: Path) -> list[Path]:
         for task, title in TASKS.items()
     }
     draw_values(figure, {title: parts for title, parts in calibrated.items() if parts})
-    output.write_text(page(results, folder, output, figure.name), encoding="utf-8")
+    output.write_text(page(results, folder, output, figure.name, sweep), encoding="utf-8")
     return [output, figure]
 
 
-def page(results: Results, folder: Path, output: Path, figure: str) -> str:
+def page(results: Results, folder: Path, output: Path, figure: str, sweep: Path) -> str:
     """The whole page as Markdown."""
     command = f"viskill reproduce {folder} -o {output}"
+    command += "" if sweep == PAPER else f" --sweep {sweep}"
     parts = [
         INTRODUCTION.format(
-            not_run=NOT_RUN, command=command, source=folder, commits=", ".join(_commits(results))
+            not_run=NOT_RUN,
+            command=command,
+            source=folder,
+            sweep=sweep,
+            commits=", ".join(_commits(results)),
+            unusual=_unusual(results),
         ),
         "## Table I: methods\n",
         *(_task_table(results, task, BASELINES) for task in TASKS),
@@ -142,12 +152,36 @@ def page(results: Results, folder: Path, output: Path, figure: str) -> str:
     return "\n".join(parts)
 
 
+def _unusual(results: Results) -> str:
+    """The settings that are not the defaults, by task."""
+    usual = settings_facts(RunSettings())
+    told = {r.unit.task: ", ".join(differing(r.settings, usual)) for r in results.all}
+    lines = [f"\n- {TASKS[task]}: {changed}" for task, changed in told.items() if changed]
+    return "\n\nSettings that differ from the defaults:\n" + "".join(lines) if lines else ""
+
+
+def differing(settings: Mapping[str, Any], usual: Mapping[str, Any], inside: str = "") -> list[str]:
+    """`key = value` of every setting that differs from `usual`."""
+    found = []
+    for key, value in settings.items():
+        other = usual.get(key)
+        if isinstance(value, Mapping) and isinstance(other, Mapping):
+            found += differing(value, other, f"{inside}{key}.")
+        elif value != other:
+            found.append(f"`{inside}{key} = {value}`")
+    return found
+
+
 def _commits(results: Results) -> list[str]:
     """Short names of the commits that results come from; `+` stands for further changes."""
-    known = {result.training.commit for result in results.all}
+    known = {commit for r in results.all for commit in (r.training.commit, *_stages(r))}
     return sorted(
         "unknown" if commit is None else commit[:9] + "+" * commit.endswith("+") for commit in known
     )
+
+
+def _stages(result: Result) -> list[str | None]:
+    return list(result.training.stages.values())
 
 
 def ablated(results: Results) -> list[str]:
@@ -159,6 +193,8 @@ def ablated(results: Results) -> list[str]:
 def _task_table(results: Results, task: str, methods: Sequence[str]) -> str:
     head = ["method", "seeds", "success % (paper)", "success %", "subtasks (paper)", "subtasks"]
     head += ["rollout length (paper)", "rollout length", "success %, wide layouts"]
+    if not any(results.of(task, method) for method in methods):
+        return f"### {TASKS[task]}\n\n{NOT_RUN}\n"
     rows = [_row(results.of(task, m), m, PUBLISHED[task].get(m)) for m in methods]
     return f"### {TASKS[task]}\n\n{_table(head, rows)}"
 
@@ -254,7 +290,8 @@ def _times(results: Results) -> str:
         "+ what the method adds (+ evaluation and calibration). Other units may have run beside "
         f"it on the same machine.\n\n{_table(head, rows)}\n"
         "The official code's hours are those of one core, extrapolated from measured rates of its "
-        f"simulator and of its updates.\n\n{compared}"
+        "simulator and of its updates (by hand; no command of this project measures it).\n\n"
+        f"{compared}"
     )
 
 

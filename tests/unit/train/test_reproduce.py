@@ -65,6 +65,18 @@ def test_whether_the_order_of_the_paper_holds_is_told_of_every_task(tmp_path: Pa
     ]
 
 
+def test_settings_that_are_not_the_defaults_and_their_sweep_are_told(tmp_path: Path) -> None:
+    made = result("bipegtransfer", "dex", 0, 0.1)
+    settings = {**made.settings, "environments": 16}
+    settings["skill"] = {**settings["skill"], "corrections": 0}
+    folder = written(tmp_path / "few", [replace(made, settings=settings)])
+    page, _ = reproduce(folder, tmp_path / "few.md", Path("sweeps/few.toml"))
+    text = page.read_text(encoding="utf-8")
+    assert "- BiPegTransfer: `environments = 16`, `skill.corrections = 0`\n" in text
+    assert "`viskill sweep sweeps/few.toml` writes" in text
+    assert "-o " in text and "--sweep sweeps/few.toml" in text
+
+
 def test_results_of_other_settings_do_not_go_into_one_table(tmp_path: Path) -> None:
     one = result("bipegtransfer", "gcbc", 0, 0.1)
     other = replace(result("bipegtransfer", "dex", 0, 0.1), measuring=Measuring(episodes=50))
