@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import errno
 import json
 import os
 import signal
@@ -14,6 +15,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from viskill_deploy.cli import main
 from viskill_deploy.cli.main import app
 from viskill_deploy.core.errors import TrainingError
 from viskill_deploy.train.curves import read_log
@@ -121,6 +123,7 @@ def test_tables_are_built_from_the_results(
     assert run.exit_code == 0, run.output
     assert run.stdout.split() == ["page.md", "page-value.svg"]
     assert viskill("reproduce", "results", "--json").exit_code == 2
+    assert viskill("reproduce", "results", "--deployment", "--sweep", "x").exit_code == 2
     run = viskill("reproduce", "results")
     assert run.stdout.split() == ["reproduction.md", "reproduction-value.svg"]
     assert "| DEX | 1 x 1 episodes | 14.03 |" in Path("page.md").read_text("utf-8")
@@ -167,5 +170,19 @@ def test_what_a_path_or_a_disk_refuses_is_no_bug(tmp_path: Path) -> None:
         text=True,
     )
     assert run.returncode == 3
-    assert "name another path" in run.stderr
+    assert f"{file}: File exists; name another path" in run.stderr
     assert "bug" not in run.stderr
+
+
+@pytest.mark.parametrize(
+    ("error", "advice"),
+    [
+        (OSError(errno.ENOSPC, "full"), "make room"),
+        (OSError(errno.EACCES, "denied", "a/path"), "name another path"),
+        (OSError(errno.EPERM, "not permitted"), None),
+        (OSError(errno.ENOENT, "none", "a/path"), None),
+    ],
+)
+def test_advice_is_given_where_there_is_some(error: OSError, advice: str | None) -> None:
+    told = main._advice(error)
+    assert told is None if advice is None else advice in str(told)

@@ -22,7 +22,7 @@ from viskill_deploy.observe.trajectory_files import JointNames, write_joint_plan
 from viskill_deploy.runtime.trajectory import plan_waypoints
 
 EXAMPLE = "Example: viskill export runs/viskill runs/mine"
-TRAJECTORY_EXAMPLE = "Example: viskill export trajectory mine.plan.json mine.csv --rate 1000"
+TRAJECTORY_EXAMPLE = "Example: viskill export trajectory mine.plan.json mine.csv --rate 200"
 
 CAN_EXAMPLE = "Example: viskill export can bipegtransfer can-files"
 
@@ -93,7 +93,8 @@ def trajectory(
 ) -> None:
     """Write the resolved, smoothed joint plan, or its waypoints in any frame, for your own player.
 
-    Joint plans start where the cell's arms start. Nothing that plays them has this project's gate.
+    Joint plans start where the cell's arms start. What plays them has no gate of
+    its own: play them through `viskill guard`, at the same rate.
     """
     file = read_plan(plan)
     cell = load_cell(file.cell)

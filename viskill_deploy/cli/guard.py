@@ -16,7 +16,7 @@ from viskill_deploy.cli.run_folder import new_folder
 from viskill_deploy.cli.sources import Calibration, Cell
 from viskill_deploy.cli.terminal import lines_typed
 from viskill_deploy.core import realtime
-from viskill_deploy.core.calibration_files import is_simulated
+from viskill_deploy.core.calibration_files import insist_real, is_simulated
 from viskill_deploy.core.clock import wall_time
 from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import CalibrationError
@@ -92,14 +92,15 @@ def _insist_on_its_own_cell(cell: CellDescription, simulated: bool) -> None:
         CalibrationError: the cell is a simulated one, and nobody has said that the robot is, too.
         BadParameter: the robot is said to be simulated, and the cell is a real one.
     """
-    if is_simulated(cell) and not simulated:
-        raise CalibrationError(
-            f"{cell.files[0]}: its arms are simulated, and on a robot the gate would look for them "
-            "in the wrong place; name the robot's own cell, with the serial numbers of its arms, "
-            "with --cell and its calibration with --calibration. If the robot is a simulated one, "
-            "such as that of `viskill serve crtk`, add --simulated"
-        )
-    if simulated and not is_simulated(cell):
+    if not simulated:
+        try:
+            insist_real(cell)
+        except CalibrationError as error:
+            raise CalibrationError(
+                f"{error}, and its calibration with --calibration; or say with --simulated that "
+                "the robot is a simulated one, such as that of `viskill serve crtk`"
+            ) from error
+    elif not is_simulated(cell):
         raise typer.BadParameter(
             f"--simulated: the arms of {cell.files[0]} have serial numbers; leave it out"
         )

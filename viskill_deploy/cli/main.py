@@ -42,11 +42,11 @@ from viskill_deploy.observe.labels import with_labels
 
 BUG = 70
 
-MACHINE = {
-    *(errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENAMETOOLONG),
+REFUSED = {
+    *(errno.EROFS, errno.EACCES, errno.EPERM, errno.ENAMETOOLONG),
     *(errno.EEXIST, errno.ENOTDIR, errno.EISDIR),
 }
-"""What a path or a disk refuses, which is no bug."""
+"""What a path refuses."""
 
 app = typer.Typer(
     name="viskill",
@@ -87,19 +87,25 @@ def main() -> None:
         print("viskill: interrupted", file=sys.stderr)
         sys.exit(Interrupted.exit_code)
     except OSError as error:
-        if error.errno not in MACHINE:
+        advice = _advice(error)
+        if advice is None:
             traceback.print_exc()
             sys.exit(_bug())
         where = f"{error.filename}: " if error.filename else ""
-        print(
-            f"viskill: {where}{error.strerror}; make room or name another path, then give the "
-            "command again",
-            file=sys.stderr,
-        )
+        print(f"viskill: {where}{error.strerror}; {advice}", file=sys.stderr)
         sys.exit(DataFileError.exit_code)
     except Exception:  # noqa: BLE001 - the last edge: a bug gets an exit code of its own
         traceback.print_exc()
         sys.exit(_bug())
+
+
+def _advice(error: OSError) -> str | None:
+    """What to do about what a disk or a path refuses; None for anything else, which is a bug."""
+    if error.errno in {errno.ENOSPC, errno.EDQUOT}:
+        return "make room, then give the command again"
+    if error.errno in REFUSED and error.filename:
+        return "name another path, or see to its rights"
+    return None
 
 
 def _bug() -> int:

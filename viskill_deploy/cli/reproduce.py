@@ -16,7 +16,7 @@ from viskill_deploy.runtime.preflight import find_bundle
 if TYPE_CHECKING:
     from viskill_deploy.calibrate.deployment import Deployment
 
-EXAMPLE = "Example: viskill reproduce docs/results -o docs/reproduction.md"
+EXAMPLE = "Example: viskill reproduce docs/results --sweep sweeps/paper.toml"
 
 
 def command(
@@ -33,9 +33,9 @@ def command(
         ),
     ] = None,
     sweep: Annotated[
-        Path,
+        Path | None,
         typer.Option(help="File of the sweep that wrote the results, to be named on the page."),
-    ] = Path("sweeps/paper.toml"),
+    ] = None,
     deployment: Annotated[
         bool,
         typer.Option(
@@ -69,6 +69,8 @@ def command(
     With --deployment, repeat the paper's trials on a robot instead, on simulated ones (hours).
     """
     if deployment:
+        if sweep is not None:
+            raise typer.BadParameter("--sweep goes with result files; leave --deployment out")
         from viskill_deploy.calibrate import deployment as job  # noqa: PLC0415 - slow to load
 
         what = job.Deployment(find_bundle(bundle), robots, trials, samples, seed, scale)

@@ -52,7 +52,7 @@ def command(
     failed = [f"{o.unit.name} (see {o.log})" for o in outcomes if o.status == "failed"]
     if failed:
         raise TrainingError(
-            f"{len(failed)} of {len(outcomes)} units failed twice: {', '.join(failed)}; "
+            f"{len(failed)} of {len(outcomes)} units failed: {', '.join(failed)}; "
             "mend the cause and start the sweep again, it goes on"
         )
 

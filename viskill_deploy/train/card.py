@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Sequence
 
 from viskill_deploy.bundle.format import Manifest
+from viskill_deploy.train import methods
 from viskill_deploy.train.evaluate import Score
 from viskill_deploy.train.settings import RunSettings, settings_facts
 
@@ -42,10 +44,6 @@ policies, full-length episodes, layouts that neither training nor selection has 
 
 {scores}
 
-```
-{command}
-```
-
 ## How it was trained
 Skills: imitation of at least {demos} demonstrations and {corrected} disturbed ones of the task's
 scripted controller, {corrections} rounds in which the script corrects the learner, then DEX with
@@ -55,7 +53,7 @@ without discount. Seed {seed}.
     viskill train {task} --method {method} --seed {seed} --output {run}{file}
     {command}
 
-do it again{settings}.
+train, export and measure it again{settings}.
 
 ## Limits
 - Trained and measured in simulation only. Nothing here says how it does on a real robot, where
@@ -76,7 +74,7 @@ HIDDEN = (
 
 
 def model_card(
-    manifest: Manifest, settings: RunSettings, scores: Sequence[Score], command: str, about: str
+    manifest: Manifest, settings: RunSettings, scores: Sequence[Score], command: str, run: str
 ) -> str:
     """The text of `MODEL_CARD.md`.
 
@@ -85,7 +83,7 @@ def model_card(
         settings: of the run.
         scores: in the learning world.
         command: that exported it.
-        about: the method, in a sentence.
+        run: folder of the run.
     """
     arms = " and ".join(f"{arm.name} ({arm.robot}, {arm.tool})" for arm in manifest.arms)
     facts = settings_facts(settings)
@@ -94,7 +92,7 @@ def model_card(
         name=manifest.name,
         task=manifest.task,
         method=manifest.method,
-        about=about,
+        about=methods.about(manifest.method),
         value=VALUE if manifest.value else NO_VALUE,
         arms=arms,
         created_by=manifest.created_by,
@@ -104,7 +102,7 @@ def model_card(
         step=manifest.step_s,
         scores=_table(scores),
         command=command,
-        run=command.split()[2],
+        run=shlex.quote(run),
         demos=settings.demos.episodes,
         corrected=settings.demos.corrected,
         corrections=settings.skill.corrections,

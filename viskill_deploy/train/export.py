@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-import shutil
+import shlex
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -105,7 +106,7 @@ def export(
         episodes: evaluated in each of the task's distributions; 0 for none.
         seed: of the evaluation episodes.
         say: told about progress.
-        threshold: of the value, for the bundle.
+        threshold: of the value, for the bundle; of no use where there is none.
 
     Returns:
         The bundle's folder.
@@ -115,7 +116,10 @@ def export(
             something else than such a bundle.
     """
     run = trained.run
-    check_place(output, name_of(trained))
+    if threshold != VALUE_THRESHOLD and not methods.value_is_probability(trained.method):
+        raise TrainingError(f"{trained.method} has no value for a threshold; leave it out")
+    place = output.resolve()
+    check_place(place, name_of(trained))
     graphs = graphs_of(trained)
     policy = Chained([actor(run, skill["weights"]) for skill in trained.skills], trained.chaining)
     scores = []
@@ -123,21 +127,23 @@ def export(
         count = run.counting(distribution)
         scores.append(evaluate(run.trial, policy, distribution, episodes, seed, count))
         say(f"{distribution}: {scores[-1].success_rate:.1%} of {episodes} episodes")
-    command = f"viskill export {os.path.relpath(run.folder)} {os.path.relpath(output)}"
-    command += f" --method {trained.method} --episodes {episodes} --seed {seed}"
-    command += "" if threshold == VALUE_THRESHOLD else f" --threshold {threshold:g}"
+    words = ["viskill", "export", os.path.relpath(run.folder), os.path.relpath(output)]
+    words += ["--method", trained.method, "--episodes", str(episodes), "--seed", str(seed)]
+    words += [] if threshold == VALUE_THRESHOLD else ["--threshold", f"{threshold:g}"]
+    command = shlex.join(words)
     manifest = build_manifest(trained, scores, command, threshold)
-    new = output.with_name(f"{output.name}.new")
-    shutil.rmtree(new, ignore_errors=True)
-    new.mkdir(parents=True)
-    for name, graph in graphs.items():
-        (new / name).write_bytes(graph)
-    card = model_card(manifest, run.settings, scores, command, methods.about(trained.method))
-    (new / CARD).write_text(card, "utf-8")
-    write_manifest(new, manifest)
-    if output.exists():
-        shutil.rmtree(output)
-    new.replace(output)
+    card = model_card(manifest, run.settings, scores, command, os.path.relpath(run.folder))
+    place.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f"{place.name}-", dir=place.parent) as beside:
+        new = Path(beside) / "new"
+        new.mkdir()
+        for name, graph in graphs.items():
+            (new / name).write_bytes(graph)
+        (new / CARD).write_text(card, "utf-8")
+        write_manifest(new, manifest)
+        if place.exists():
+            place.replace(Path(beside) / "old")
+        new.replace(place)
     say(f"bundle written to {output}")
     return output
 
@@ -151,8 +157,11 @@ def check_place(output: Path, name: str) -> None:
     """Refuses a place that a bundle may not take.
 
     Raises:
-        TrainingError: it holds anything but an older bundle of the same name.
+        TrainingError: it holds anything but an older bundle of the same name, or is where the
+            command runs.
     """
+    if output == Path.cwd():
+        raise TrainingError(f"{output} is where the command runs; name a folder for the bundle")
     if not output.exists() or (output.is_dir() and not any(output.iterdir())):
         return
     try:

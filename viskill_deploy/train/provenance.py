@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import subprocess
 from pathlib import Path
 
 from viskill_deploy.core.data import PACKAGE
+
+
+@functools.cache
+def running_commit() -> str | None:
+    """`commit` of the code that this process runs: as it was when first asked for."""
+    return commit()
 
 
 def commit(package: Path = PACKAGE) -> str | None:

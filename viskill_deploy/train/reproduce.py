@@ -26,7 +26,6 @@ from viskill_deploy.train.settings import RunSettings, settings_facts
 from viskill_deploy.train.value_figure import draw_values
 
 NOT_RUN = "not run"
-PAPER = Path("sweeps/paper.toml")
 SHARED = ("demos", "skill-")
 """How the stages begin that all methods of a run share."""
 
@@ -47,8 +46,8 @@ neither training nor selection has seen. What success, subtasks completed and ro
 written in [learning.md](learning.md). The paper's: its Tables I and II, five seeds.
 "{not_run}" is a cell without a result file.
 
-This page is built by `{command}` from the files in `{source}`, which
-`viskill sweep {sweep}` writes. They come from commit {commits}.{unusual}
+This page is built by `{command}` from the files in
+`{source}`{sweep}. They come from commit {commits}.{unusual}
 """
 
 ORDER = """Two methods count as told apart if zero is outside the 95 % confidence interval of the
@@ -97,13 +96,13 @@ def read_results(folder: Path) -> Results:
     return Results(tuple(found[key] for key in sorted(found)))
 
 
-def reproduce(folder: Path, output: Path, sweep: Path = PAPER) -> list[Path]:
+def reproduce(folder: Path, output: Path, sweep: Path | None = None) -> list[Path]:
     """Writes the page and its figures.
 
     Args:
         folder: of the result files.
         output: the page, a Markdown file; figures stand beside it.
-        sweep: file of the sweep that wrote the results, to be named on the page.
+        sweep: file of the sweep that wrote the results, to be named on the page if it is known.
 
     Returns:
         The files written.
@@ -124,16 +123,16 @@ def reproduce(folder: Path, output: Path, sweep: Path = PAPER) -> list[Path]:
     return [output, figure]
 
 
-def page(results: Results, folder: Path, output: Path, figure: str, sweep: Path) -> str:
+def page(results: Results, folder: Path, output: Path, figure: str, sweep: Path | None) -> str:
     """The whole page as Markdown."""
     command = f"viskill reproduce {folder} -o {output}"
-    command += "" if sweep == PAPER else f" --sweep {sweep}"
+    command += f" --sweep {sweep}" if sweep else ""
     parts = [
         INTRODUCTION.format(
             not_run=NOT_RUN,
             command=command,
             source=folder,
-            sweep=sweep,
+            sweep=f", which `viskill sweep {sweep}` writes" if sweep else "",
             commits=", ".join(_commits(results)),
             unusual=_unusual(results),
         ),

@@ -65,7 +65,7 @@ class Training:
         seconds: of each stage, shared ones included; what was lost when a run was stopped does not
             count.
         curves: per stage, `round` and the rates `exploring` and `success` as columns.
-        threads: of physics and gradient steps.
+        threads: of physics.
         peak_memory_mib: of the process that finished the learning.
         versions: of what numbers may depend on.
         commit: of the code that finished the learning, with `+` behind it if it had been changed;

@@ -17,7 +17,7 @@ import torch
 from pydantic import ConfigDict
 
 from viskill_deploy.core.clock import wall_time
-from viskill_deploy.core.errors import TrainingError
+from viskill_deploy.core.errors import DataFileError, TrainingError
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.sim.tasks.base import AnyFloatArray, load_task
 from viskill_deploy.sim.vector_loop import VectorLoop
@@ -25,17 +25,11 @@ from viskill_deploy.train import store
 from viskill_deploy.train.demos import TRIES, SkillDemos, record_demos
 from viskill_deploy.train.hidden import hidden_robots
 from viskill_deploy.train.network import Network, scaling_of
-from viskill_deploy.train.provenance import commit
+from viskill_deploy.train.provenance import running_commit
 from viskill_deploy.train.replay import Episodes
 from viskill_deploy.train.results import write_json
 from viskill_deploy.train.rollout import Act, Count, Start, run_skill, saved
-from viskill_deploy.train.settings import (
-    RunSettings,
-    check_distributions,
-    checked,
-    content_of,
-    settings_facts,
-)
+from viskill_deploy.train.settings import RunSettings, checked, content_of, settings_facts
 from viskill_deploy.train.skill_learning import SkillData, SkillLearner
 
 LOG = "log.jsonl"
@@ -95,6 +89,15 @@ def read_facts(path: Path) -> RunFacts:
     return checked(path, RunFacts, content_of(path))
 
 
+def is_run(path: Path) -> bool:
+    """Whether a file is the `settings.json` of a run."""
+    try:
+        read_facts(path)
+    except DataFileError:
+        return False
+    return True
+
+
 def write_facts(path: Path, facts: RunFacts) -> None:
     """Writes what a run is; several processes may do so at once."""
     settings = settings_facts(facts.settings)
@@ -118,8 +121,8 @@ class Run:
         stages: asked for so far, in order.
 
     Raises:
-        TrainingError: the folder holds another run, or cannot hold one.
-        DataFileError: the task does not have such layouts.
+        TrainingError: the folder holds another run, or the task does not have such layouts.
+        DataFileError: what the folder says of its run is damaged.
     """
 
     folder: Path
@@ -134,14 +137,27 @@ class Run:
         self.stages: list[str] = []
         torch.set_num_threads(1)
         self.task = load_task(self.task_name)
-        path = self.folder / SETTINGS
-        check_distributions(self.settings, self.task.distributions, path)
+        for name in self.settings.distributions:
+            if name not in self.task.distributions:
+                known = ", ".join(self.task.distributions)
+                raise TrainingError(f"{self.task_name} has the distributions {known}, no {name!r}")
         self._loop: VectorLoop | None = None
         self._trial: VectorLoop | None = None
+        self.commit = running_commit()
+        path = self.folder / SETTINGS
+        if not path.is_file() or list(self.folder.iterdir()) == [path]:  # nothing was begun
+            write_facts(path, RunFacts(self.task_name, self.seed, self.settings))
+        self.insist_own()
+
+    def insist_own(self) -> None:
+        """Refuses a folder that is another run's.
+
+        Raises:
+            TrainingError: it is.
+            DataFileError: what it says of its run is damaged.
+        """
         mine = RunFacts(self.task_name, self.seed, self.settings)
-        if not path.is_file() or not any(self.folder.glob("*.npz")):  # nothing is learned yet
-            write_facts(path, mine)
-        if read_facts(path) != mine:
+        if read_facts(self.folder / SETTINGS) != mine:
             raise TrainingError(
                 f"{self.folder} holds a run with another task, seed or settings; "
                 "name an empty folder"
@@ -153,10 +169,12 @@ class Run:
 
         Raises:
             TrainingError: there is none.
+            DataFileError: what it says of itself is damaged.
         """
         path = folder / SETTINGS
-        if not path.is_file():
-            runs = sorted(str(inner.parent) for inner in folder.glob(f"*/{SETTINGS}"))
+        inner = [*folder.glob(f"*/{SETTINGS}"), *folder.glob(f"*/*/{SETTINGS}")]
+        runs = sorted(str(one.parent) for one in inner if is_run(one))
+        if runs or not path.is_file():
             there = f"name one of {', '.join(runs)}" if runs else "train first"
             raise TrainingError(f"{folder} holds no training run; {there}")
         facts = read_facts(path)
@@ -241,7 +259,7 @@ class Run:
 
     def finish(self, stage: str, tree: store.Tree) -> None:
         """Writes the result of a stage and drops what it kept while it ran."""
-        self.log({"stage": stage, "commit": commit()})
+        self.log({"stage": stage, "commit": self.commit})
         store.save(self.result(stage), tree)
         (self.folder / f"{stage}.state.npz").unlink(missing_ok=True)
         if self.watch:

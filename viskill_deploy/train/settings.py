@@ -6,7 +6,7 @@ import dataclasses
 import json
 import math
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -83,20 +83,6 @@ def _numbers(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, 
             yield from _numbers(value, f"{before}{key}.")
         elif not isinstance(value, bool | str | Sequence):
             yield f"{before}{key}", value
-
-
-def check_distributions(settings: RunSettings, known: Iterable[str], where: Path) -> None:
-    """Refuses layouts that a task does not have.
-
-    Raises:
-        DataFileError: names `where`, the layout and those that there are.
-    """
-    known = tuple(known)
-    for name in settings.distributions:
-        if name not in known:
-            raise DataFileError(
-                where, "distributions", f"{name!r} is unknown; choose of {', '.join(known)}"
-            )
 
 
 def settings_facts(settings: RunSettings) -> dict[str, Any]:

@@ -8,6 +8,7 @@ folders of the runs; a sweep that is started again goes on.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import subprocess
@@ -83,7 +84,7 @@ class _Job:
 
 def unit_command(sweep: Sweep, unit: Unit) -> list[str]:
     """The command line of a unit."""
-    settings = unit.run_folder(sweep.output) / unit.method / "settings.json"
+    settings = unit.run_folder(sweep.output) / unit.method / "unit-settings.json"
     write_json(settings, settings_facts(sweep.settings[unit.task]))
     measuring = sweep.measuring
     return [
@@ -175,8 +176,14 @@ class Pool:
                 return
             self._waiting.remove(unit)
             log = self._log(unit)
-            log.parent.mkdir(parents=True, exist_ok=True)
-            process = self._start(unit, log)
+            try:
+                log.parent.mkdir(parents=True, exist_ok=True)
+                process = self._start(unit, log, 1)
+            except OSError as error:
+                self._watcher.started(unit, 1)
+                self._watcher.says(unit, str(error))
+                self._over(Outcome(unit, "failed", 0, 0.0, log))
+                continue
             self._running.append(_Job(unit, log, process, self._clock.now()))
             self._watcher.started(unit, 1)
 
@@ -194,9 +201,11 @@ class Pool:
             return True
         return not any(needs_skills(other.method) for other in beside)
 
-    def _start(self, unit: Unit, log: Path) -> subprocess.Popen[bytes]:
+    def _start(self, unit: Unit, log: Path, attempt: int) -> subprocess.Popen[bytes]:
         one = dict.fromkeys(THREAD_VARIABLES, "1")
         with log.open("ab") as file:
+            file.write(f"sweep: {unit.name}, attempt {attempt}\n".encode())
+            file.flush()
             return subprocess.Popen(
                 self._command(self._sweep, unit),
                 stdin=subprocess.DEVNULL,
@@ -214,14 +223,21 @@ class Pool:
                 self._watcher.says(job.unit, last_line(job.log))
                 continue
             done = code == 0 and self._left_result(job.unit)
-            if not done and job.attempt < ATTEMPTS:
-                job.process, job.attempt = self._start(job.unit, job.log), job.attempt + 1
-                self._watcher.started(job.unit, job.attempt)
-            else:
+            if done or job.attempt == ATTEMPTS or not self._again(job):
                 self._running.remove(job)
                 seconds = round(self._clock.now() - job.began, 1)
                 status = "finished" if done else "failed"
                 self._over(Outcome(job.unit, status, job.attempt, seconds, job.log))
+
+    def _again(self, job: _Job) -> bool:
+        """Starts another process for a unit whose process died, if the machine lets it."""
+        try:
+            job.process = self._start(job.unit, job.log, job.attempt + 1)
+        except OSError:
+            return False
+        job.attempt += 1
+        self._watcher.started(job.unit, job.attempt)
+        return True
 
     def _over(self, outcome: Outcome) -> None:
         copy = self._copy(outcome.unit)
@@ -229,7 +245,7 @@ class Pool:
             try:
                 write_whole(copy, (self._folder(outcome.unit) / RESULT).read_bytes())
             except OSError as error:  # the others go on
-                with outcome.log.open("a", encoding="utf-8") as log:
+                with contextlib.suppress(OSError), outcome.log.open("a", encoding="utf-8") as log:
                     log.write(f"sweep: the result could not be copied: {error}\n")
                 outcome = dataclasses.replace(outcome, status="failed")
         self._outcomes.append(outcome)

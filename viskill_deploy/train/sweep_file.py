@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,7 +13,7 @@ from viskill_deploy.core.errors import DataFileError
 from viskill_deploy.sim.tasks.base import load_task, task_names
 from viskill_deploy.train.methods import method_names, needs_skills
 from viskill_deploy.train.results import Measuring, Unit
-from viskill_deploy.train.settings import RunSettings, check_distributions, checked, content_of
+from viskill_deploy.train.settings import RunSettings, checked, content_of
 
 AtLeastOne = Annotated[int, Field(ge=1)]
 Seed = Annotated[int, Field(ge=0)]
@@ -92,14 +92,15 @@ def _settings_of(path: Path, file: SweepFile, task: str) -> RunSettings:
     special = file.task_settings.get(task, {})
     try:
         settings = checked(path, RunSettings, merged(file.settings, special))
+        _check(path, "distributions", settings.distributions, load_task(task).distributions)
     except DataFileError as error:
         entry: Any = special
         for part in error.key.split("."):
             entry = entry.get(part) if isinstance(entry, Mapping) else None
         table = "settings" if entry is None else f"task_settings.{task}"
-        key = f"{table}.{error.key}" if error.key else table
-        raise DataFileError(path, key, error.reason) from error
-    check_distributions(settings, load_task(task).distributions, path)
+        if not error.key:  # the reason names it, and it may come of both
+            raise DataFileError(path, f"settings of {task}", error.reason) from error
+        raise DataFileError(path, f"{table}.{error.key}", error.reason) from error
     return settings
 
 
@@ -137,7 +138,7 @@ def _check_names(path: Path, file: SweepFile) -> None:
 
 
 def _check(
-    path: Path, key: str, names: Mapping[str, Any] | tuple[str, ...], known: list[str]
+    path: Path, key: str, names: Mapping[str, Any] | tuple[str, ...], known: Sequence[str]
 ) -> None:
     for name in names:
         if name not in known:

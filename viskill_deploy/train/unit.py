@@ -34,7 +34,6 @@ from viskill_deploy.train.chain_learning import Chained
 from viskill_deploy.train.evaluate import evaluate
 from viskill_deploy.train.lock import alone
 from viskill_deploy.train.paper import MAIN
-from viskill_deploy.train.provenance import commit
 from viskill_deploy.train.results import (
     SCHEMA,
     Figures,
@@ -121,6 +120,7 @@ def learn(method: str, run: Run) -> tuple[TaskPolicy, Training]:
 
     run.watch = watch
     with alone(run.folder / "demos.lock", run.say):
+        run.insist_own()  # another process may have begun another run meanwhile
         demos_of(run)
     if methods.needs_skills(method):
         with alone(run.folder / "skills.lock", run.say):
@@ -171,7 +171,7 @@ def _training(run: Run) -> Training:
         threads=run.threads,
         peak_memory_mib=round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
         versions={"python": platform.python_version(), **versions},
-        commit=commit(),
+        commit=run.commit,
         stages={line["stage"]: line["commit"] for line in lines if "commit" in line},
     )
 

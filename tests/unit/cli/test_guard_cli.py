@@ -62,7 +62,7 @@ def test_a_cell_of_simulated_arms_does_not_guard_a_robot(
     for words in ((), ("--cell", "bipegboard"), ("--calibration", str(fresh))):
         said = refusal(*words)
         assert "its arms are simulated" in said
-        for way_out in ("--cell", "serial numbers", "--calibration", "--simulated"):
+        for way_out in ("--robot", "serial numbers", "--calibration", "--simulated"):
             assert way_out in said
     assert connections == []
 

@@ -172,6 +172,17 @@ def test_gradient_steps_have_one_thread_whatever_physics_has(tmp_path: Path) -> 
     assert torch.get_num_threads() == 1
 
 
+def test_a_stage_names_the_code_that_its_process_began_with(
+    trained: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    began = run_in(tmp_path).commit
+    monkeypatch.setattr("viskill_deploy.train.provenance.commit", lambda: "of another day")
+    run = run_in(tmp_path)
+    run.finish("counting", {})
+    told = json.loads((tmp_path / "log.jsonl").read_text().splitlines()[-1])
+    assert told == {"stage": "counting", "commit": began}
+
+
 def test_a_skill_that_never_ends_whole_is_told_of(
     trained: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -342,6 +353,8 @@ def test_a_value_that_is_no_probability_is_not_exported_as_one(
     run = without_chain(trained, tmp_path / "run")
     methods.learn("viskill_dm", run)
     folder = export(load_trained(run, "viskill_dm"), tmp_path / "b", episodes=0, say=quiet)
+    with pytest.raises(TrainingError, match="no value for a threshold"):
+        export(load_trained(run, "viskill_dm"), tmp_path / "c", 0, say=quiet, threshold=0.7)
     bundle = load_bundle(folder)
     assert bundle.manifest.value is None
     assert not bundle.values
@@ -373,6 +386,13 @@ def test_a_bundle_takes_the_place_of_an_older_one_of_its_name_alone(
     with pytest.raises(TrainingError, match=r"holds notes\.txt besides"):
         export(what, folder, episodes=0, say=quiet)
     (folder / "notes.txt").unlink()
+    link = tmp_path / "link"
+    link.symlink_to(folder)
+    export(what, link, episodes=0, say=quiet)
+    assert link.is_symlink() and load_bundle(folder).manifest.name == "bipegtransfer-viskill"
+    link.unlink()
+    with pytest.raises(TrainingError, match="where the command runs"):
+        export(what, Path(), episodes=0, say=quiet)
     with pytest.raises(TrainingError, match="holds the bundle bipegtransfer-viskill"):
         check_place(folder, "bipegtransfer-self_imitation")
     file = tmp_path / "file"

@@ -70,6 +70,8 @@ def test_settings_that_are_not_the_defaults_and_their_sweep_are_told(tmp_path: P
     settings = {**made.settings, "environments": 16}
     settings["skill"] = {**settings["skill"], "corrections": 0}
     folder = written(tmp_path / "few", [replace(made, settings=settings)])
+    page, _ = reproduce(folder, tmp_path / "few.md")
+    assert "viskill sweep" not in page.read_text(encoding="utf-8")
     page, _ = reproduce(folder, tmp_path / "few.md", Path("sweeps/few.toml"))
     text = page.read_text(encoding="utf-8")
     assert "- BiPegTransfer: `environments = 16`, `skill.corrections = 0`\n" in text

@@ -1,5 +1,6 @@
 """What may be set about a run, and what its folder says."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -55,15 +56,17 @@ def test_layouts_that_the_task_does_not_have_are_refused_before_anything_is_writ
     tmp_path: Path,
 ) -> None:
     settings = RunSettings(distributions=("refrence",))
-    with pytest.raises(DataFileError, match="'refrence' is unknown; choose of reference, wide"):
+    with pytest.raises(TrainingError, match="the distributions reference, wide, no 'refrence'"):
         Run(tmp_path / "run", "bipegtransfer", 0, settings)
     assert not (tmp_path / "run").exists()
 
 
-def test_settings_may_be_corrected_until_something_is_learned(tmp_path: Path) -> None:
-    Run(tmp_path, "bipegtransfer", 0, RunSettings(environments=3))
+def test_settings_may_be_corrected_until_something_is_begun(tmp_path: Path) -> None:
+    first = Run(tmp_path, "bipegtransfer", 0, RunSettings(environments=3))
     Run(tmp_path, "bipegtransfer", 0, RunSettings(environments=4))
-    store.save(tmp_path / "demos.npz", {})
+    with pytest.raises(TrainingError, match="name an empty folder"):
+        first.insist_own()
+    (tmp_path / "demos.lock").touch()  # somebody records demonstrations
     with pytest.raises(TrainingError, match="name an empty folder"):
         Run(tmp_path, "bipegtransfer", 0, RunSettings(environments=5))
     assert Run.open(tmp_path).settings.environments == 4
@@ -72,9 +75,17 @@ def test_settings_may_be_corrected_until_something_is_learned(tmp_path: Path) ->
 def test_a_folder_of_runs_is_told_from_a_run(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="train first"):
         Run.open(tmp_path)
-    Run(tmp_path / "seed0", "bipegtransfer", 0, RunSettings())
-    with pytest.raises(TrainingError, match=r"name one of .*seed0"):
-        Run.open(tmp_path)
+    run = tmp_path / "task" / "seed0"
+    Run(run, "bipegtransfer", 0, RunSettings())
+    (tmp_path / "task" / "settings.json").write_text("{}", encoding="utf-8")  # of an older sweep
+    (run / "viskill").mkdir()
+    (run / "viskill" / "unit-settings.json").write_text("{}", encoding="utf-8")
+    for folder in (tmp_path, tmp_path / "task"):
+        with pytest.raises(TrainingError, match=r"name one of \S*seed0$"):
+            Run.open(folder)
+    with pytest.raises(TrainingError, match="train first"):
+        Run.open(run / "viskill")
+    assert Run.open(run).seed == 0
 
 
 @pytest.mark.parametrize("text", ["{", '{"task": "bipegtransfer"}', "[]"])
@@ -85,10 +96,9 @@ def test_a_damaged_settings_file_is_refused(text: str, tmp_path: Path) -> None:
 
 
 def test_a_run_of_before_a_setting_was_there_opens(tmp_path: Path) -> None:
-    Run(tmp_path, "bipegtransfer", 0, RunSettings())
     facts = settings_facts(RunSettings())
     del facts["dex"]["neighbours"]
-    text = (tmp_path / "settings.json").read_text()
-    (tmp_path / "settings.json").write_text(text.replace('"neighbours": 5, ', ""))
+    text = json.dumps({"task": "bipegtransfer", "seed": 0, "settings": facts})
+    (tmp_path / "settings.json").write_text(text, encoding="utf-8")
     store.save(tmp_path / "demos.npz", {})
     assert Run.open(tmp_path).settings == RunSettings()

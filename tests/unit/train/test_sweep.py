@@ -3,7 +3,7 @@
 import json
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -176,7 +176,36 @@ def test_what_a_unit_said_before_stays_in_its_log(make: Make, tmp_path: Path) ->
     log.parent.mkdir(parents=True)
     log.write_text("of before\n")
     Pool(sweep, Notes(), scripts(tmp_path)).run()
-    assert log.read_text() == "of before\nat work\n"
+    assert log.read_text() == f"of before\nsweep: {VISKILL.name}, attempt 1\nat work\n"
+
+
+def test_a_unit_that_cannot_be_started_fails_alone(make: Make, tmp_path: Path) -> None:
+    sweep, done = make(VISKILL, OTHER), scripts(tmp_path)
+
+    def command(of: Sweep, unit: Unit) -> Sequence[str]:
+        if unit == VISKILL:
+            raise OSError(28, "No space left on device")
+        return done(of, unit)
+
+    outcomes = Pool(sweep, Notes(), command).run()
+    assert {(o.unit, o.status) for o in outcomes} == {(VISKILL, "failed"), (OTHER, "finished")}
+
+
+def test_a_unit_that_cannot_be_started_again_fails_alone(make: Make, tmp_path: Path) -> None:
+    sweep, done = make(VISKILL, OTHER), scripts(tmp_path, "if 'seed0' in str(folder): sys.exit(1)")
+    asked: list[Unit] = []
+
+    def command(of: Sweep, unit: Unit) -> Sequence[str]:
+        asked.append(unit)
+        if asked.count(VISKILL) == 2:
+            raise OSError(28, "No space left on device")
+        return done(of, unit)
+
+    outcomes = Pool(sweep, Notes(), command).run()
+    assert {(o.unit, o.status, o.attempts) for o in outcomes} == {
+        (VISKILL, "failed", 1),
+        (OTHER, "finished", 1),
+    }
 
 
 def test_no_process_waits_for_what_another_one_learns(make: Make, tmp_path: Path) -> None:

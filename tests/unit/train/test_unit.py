@@ -1,5 +1,6 @@
 """Units with a method that learns to count, in place of the real ones."""
 
+import fcntl
 import json
 import os
 import signal
@@ -137,16 +138,24 @@ def test_a_damaged_result_says_how_to_get_it_again(
 def test_two_processes_do_not_measure_the_same_unit(
     tmp_path: Path, evaluated: list[tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The second one has learned nothing and gets the lock when the first has written."""
-    done(tmp_path)
     path = UNIT.run_folder(tmp_path) / "counting" / "result.json"
-    late = iter([None])
-    known = unit.finished
+    evaluate, held = unit.evaluate, []
+
+    def alone_with_it(*asked: Any) -> Score:
+        with path.with_name("measuring.lock").open("a") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                held.append(True)
+        return evaluate(*asked)
+
+    monkeypatch.setattr(unit, "evaluate", alone_with_it)
+    done(tmp_path)
+    assert held == [True, True]
+    known, late = unit.finished, iter([None])  # who looked before the first had written
     monkeypatch.setattr(unit, "finished", lambda *asked: next(late, known(*asked)))
-    before = path.stat().st_mtime_ns
     done(tmp_path)
     assert len(evaluated) == 2
-    assert path.stat().st_mtime_ns == before
 
 
 def test_a_unit_that_was_stopped_while_it_was_measured_is_not_learned_again(
