@@ -33,6 +33,47 @@ def linear_graph(
     return bytes(model.SerializeToString())
 
 
+def misshapen_graph(answer: tuple[int, int], low_m: float, high_m: float) -> bytes:
+    """A skill of BiPegTransfer that answers in another shape than the [N, 10] that it declares.
+
+    Both arms go down and aside, -0.3 on every axis. While PSM1's tip is between the two heights,
+    the answer has the shape `answer`.
+    """
+    constants = {
+        "height": np.array([2]),
+        "low": np.float32(low_m),
+        "high": np.float32(high_m),
+        "right": np.array([1, 10]),
+        "change": np.array(answer) - np.array([1, 10]),
+    }
+    nodes = [
+        helper.make_node("Gather", ["obs", "height"], ["column"], axis=1),
+        helper.make_node("ReduceSum", ["column"], ["z"], keepdims=0),
+        helper.make_node("Greater", ["z", "low"], ["above"]),
+        helper.make_node("Less", ["z", "high"], ["below"]),
+        helper.make_node("And", ["above", "below"], ["between"]),
+        helper.make_node("Cast", ["between"], ["is_wrong"], to=TensorProto.INT64),
+        helper.make_node("Mul", ["is_wrong", "change"], ["more"]),
+        helper.make_node("Add", ["right", "more"], ["size"]),
+        helper.make_node(
+            "ConstantOfShape",
+            ["size"],
+            ["action"],
+            value=helper.make_tensor("value", TensorProto.FLOAT, [1], [-0.3]),
+        ),
+    ]
+    inputs = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, ["N", size])
+        for name, size in (("obs", 35), ("goal", 8))
+    ]
+    outputs = [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["N", 10])]
+    tensors = [numpy_helper.from_array(np.asarray(x), name) for name, x in constants.items()]
+    graph = helper.make_graph(nodes, "skill", inputs, outputs, tensors)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)])
+    model.ir_version = 8
+    return bytes(model.SerializeToString())
+
+
 def manifest_of(task: Task) -> Manifest:
     """A manifest that fits a task and its cell."""
     cell = load_cell(task.name)

@@ -102,7 +102,8 @@ class Graph:
             inputs: one vector an input, in the order of the signature.
 
         Raises:
-            BundleError: the graph cannot run.
+            BundleError: the graph cannot run, or answers in another shape than it declares; ONNX
+                Runtime takes a declaration at its word.
         """
         rows = zip(self.signature.inputs, inputs, strict=True)
         changed = ((n, self.inward[n](x) if n in self.inward else x) for n, x in rows)
@@ -111,6 +112,12 @@ class Graph:
             (answer,) = self.session.run([self.signature.output], feed)
         except ORT_ERRORS as error:
             raise BundleError(self.path, f"cannot run: {error}; export it again") from error
+        if answer.shape != (1, self.signature.width):
+            raise BundleError(
+                self.path,
+                f"answers {list(answer.shape)} to one row, declares "
+                f"[N, {self.signature.width}]; export it again",
+            )
         told = np.asarray(answer[0], dtype=np.float64)
         return told if self.outward is None else self.outward.back(told)
 

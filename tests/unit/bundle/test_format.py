@@ -11,7 +11,7 @@ import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
-from untrained import linear_graph
+from untrained import linear_graph, misshapen_graph
 
 from viskill_deploy.bundle import graphs
 from viskill_deploy.bundle.chain import SkillChain
@@ -244,6 +244,15 @@ def layered(nodes: list[onnx.NodeProto], tensors: list[TensorProto]) -> bytes:
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)])
     model.ir_version = 8
     return bytes(model.SerializeToString())
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(1, 20), (1, 5), (0, 10), (2, 10)])
+def test_a_graph_that_answers_in_another_shape_than_it_declares_is_refused(
+    untrained_bundle: Path, rows: int, columns: int
+) -> None:
+    replace_graph(untrained_bundle, misshapen_graph((rows, columns), -1.0, 1.0))
+    with pytest.raises(BundleError, match=rf"answers \[{rows}, {columns}\] .*declares \[N, 10\]"):
+        load_bundle(untrained_bundle)
 
 
 @pytest.mark.parametrize("place", ["weights.bin", "../run/weights.bin"])

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chaining import VALUES, chain_graph, replace_file, resign, value_graph
+from untrained import misshapen_graph
 
 from viskill_deploy.core.types import Boundary, SkillStart
 from viskill_deploy.runtime.dry_run import DryRunOptions, dry_run
@@ -129,6 +130,22 @@ def test_a_value_that_is_no_number_stops_the_episode_like_a_bad_subgoal(copy: Pa
     assert episode["stopped_by"] == "S16"
     assert "no probability" in episode["reason"]
     assert np.ptp(np.array(notebook.sent), axis=0).max() < 1e-9
+
+
+@pytest.mark.parametrize("answer", [(1, 5), (1, 20), (0, 10)], ids=str)
+def test_an_answer_of_another_shape_in_the_middle_of_a_skill_brings_the_arms_to_rest(
+    unchained: Path, tmp_path: Path, answer: tuple[int, int]
+) -> None:
+    bundle = shutil.copytree(unchained, tmp_path / "misshapen")
+    replace_file(bundle, "skill-grasp.onnx", misshapen_graph(answer, 0.01, 0.05))
+    outcome, notebook = run(bundle)
+    (episode,) = outcome.figures["episode_results"]
+    assert outcome.failure is None
+    assert (episode["success"], episode["stopped_by"]) == (False, "S16")
+    assert f"skill-grasp.onnx: answers [{answer[0]}, {answer[1]}]" in episode["reason"]
+    assert episode["skills"][0]["steps"] >= 2
+    assert np.ptp(np.array(notebook.sent), axis=0).max() > 1e-3, "the arms were moving"
+    assert np.abs(np.diff(notebook.sent[-2:], axis=0)).max() < 1e-9
 
 
 @pytest.mark.parametrize("graph", ["chain-grasp.onnx", "chain-handover.onnx", "value-release.onnx"])
