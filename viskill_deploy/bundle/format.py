@@ -19,7 +19,6 @@ from pydantic import Field, ValidationError
 from viskill_deploy.bundle.adapter import AdapterEntry, adapters
 from viskill_deploy.bundle.graphs import Affine, Graph, Signature, open_graph
 from viskill_deploy.core.cell_files import Rotation
-from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import BundleError
 from viskill_deploy.core.robot_files import Positive, Table
 from viskill_deploy.core.sealed import read_sealed, sealed
@@ -34,6 +33,9 @@ MAX_MANIFEST_BYTES = 2**20
 MAX_FILE_BYTES = 64 * 2**20
 MAX_BUNDLE_BYTES = 256 * 2**20
 """A shipped bundle has 1 MB."""
+
+NAME = r"^\w[\w.+ -]*$"
+"""What a bundle may be called: folders and tables of people carry its name."""
 
 TASK_GOAL_SIZE = 3
 """Length of the task's goal as graphs see it: the point in `Scene.goal`, m."""
@@ -159,7 +161,7 @@ class Manifest(Table):
     """
 
     schema_version: Literal[1] = Field(alias="schema")
-    name: str
+    name: str = Field(pattern=NAME, max_length=100)
     task: str
     cell: str
     method: str
@@ -309,30 +311,6 @@ def read_manifest(folder: Path) -> Manifest:
         raise BundleError(path, f"{error}; fetch or export the bundle again") from error
     _check_sizes(path, manifest)
     return manifest
-
-
-def check_fits(bundle: Bundle, cell: CellDescription) -> None:
-    """Refuses a bundle that was trained for other arms, tools or another cell.
-
-    Raises:
-        BundleError: names what differs.
-    """
-    manifest = bundle.manifest
-    if manifest.cell != cell.name:
-        raise BundleError(
-            bundle.path, f"was trained for cell {manifest.cell!r}, not {cell.name!r}; use that cell"
-        )
-    wanted = [(arm.name, arm.robot, arm.tool) for arm in manifest.arms]
-    present = [(arm.name, arm.entry.robot, arm.entry.tool) for arm in cell.arms]
-    for want, have in zip(wanted, present, strict=False):
-        if want != have:
-            raise BundleError(
-                bundle.path,
-                f"was trained with {' '.join(want)}, the cell holds {' '.join(have)}; "
-                "mount that tool or train a bundle for this cell",
-            )
-    if len(wanted) != len(present):
-        raise BundleError(bundle.path, f"needs {len(wanted)} arms, the cell has {len(present)}")
 
 
 def _check_sizes(path: Path, manifest: Manifest) -> None:

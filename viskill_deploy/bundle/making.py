@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from importlib.metadata import version
+from pathlib import Path
 
 from viskill_deploy.bundle.adapter import AdapterEntry
 from viskill_deploy.bundle.format import (
+    NAME,
     ActionEntry,
     ArmEntry,
     ChainingEntry,
@@ -16,7 +19,24 @@ from viskill_deploy.bundle.format import (
     ValueEntry,
     skill_file,
 )
+from viskill_deploy.core.errors import BundleError
 from viskill_deploy.sim.tasks.base import Layout, Task
+
+
+def new_name(folder: Path) -> str:
+    """The name of a bundle that shall be written into a folder: the folder's own.
+
+    Raises:
+        BundleError: the folder holds something, or its name is none for a bundle.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise BundleError(folder, "is not an empty folder; name a new one")
+    name = folder.resolve().name
+    if not re.fullmatch(NAME, name):
+        raise BundleError(
+            folder, "is no name for a bundle; take letters, digits, spaces and . _ + - alone"
+        )
+    return name
 
 
 def imported_manifest(

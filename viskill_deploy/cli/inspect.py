@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from viskill_deploy.bundle.format import Bundle, Manifest, load_bundle
 from viskill_deploy.runtime.preflight import find_bundle, prepare
@@ -55,7 +56,7 @@ def _adapter(manifest: Manifest) -> str:
 
 def _print(bundle: Bundle, console: Console) -> None:
     manifest = bundle.manifest
-    facts = Table(title=manifest.name, title_justify="left", show_header=False)
+    facts = Table(title=Text(manifest.name), title_justify="left", show_header=False)
     arms = ", ".join(f"{arm.name} ({arm.robot}, {arm.tool})" for arm in manifest.arms)
     for name, text in (
         ("task", manifest.task),
@@ -68,21 +69,24 @@ def _print(bundle: Bundle, console: Console) -> None:
         ("subgoals", f"{manifest.goal_size} numbers, {SUBGOALS[manifest.subgoals]}"),
         ("value", _value(manifest)),
     ):
-        facts.add_row(name, text)
+        facts.add_row(name, Text(text))
     skills = Table("skill", "steps", "subgoal", "value", title="Skills", title_justify="left")
     given = "task" if bundle.chaining else manifest.subgoals
     for skill in manifest.skills:
         source = "chaining" if skill.name in bundle.chaining else given
         told = "told" if skill.name in bundle.values else "–"
-        skills.add_row(skill.name, str(skill.budget), source, told)
+        skills.add_row(Text(skill.name), str(skill.budget), source, told)
     graphs = Table("graph", "takes", "gives", title="Graphs", title_justify="left")
     for graph in (*bundle.skills.values(), *bundle.chaining.values(), *bundle.values.values()):
         wants = ", ".join(f"{name} {width}" for name, width in graph.signature.inputs.items())
-        graphs.add_row(graph.path.name, wants, f"{graph.signature.output} {graph.signature.width}")
+        graphs.add_row(
+            Text(graph.path.name), wants, f"{graph.signature.output} {graph.signature.width}"
+        )
     measured = Table(
         "distribution", "mode", "episodes", "success", title="Measured", title_justify="left"
     )
     for row in manifest.measured:
-        measured.add_row(row.distribution, row.mode, str(row.episodes), f"{row.success_rate:.2f}")
+        cells = (row.distribution, row.mode, str(row.episodes), f"{row.success_rate:.2f}")
+        measured.add_row(*map(Text, cells))
     for table in (facts, skills, graphs, measured):
         console.print(table)

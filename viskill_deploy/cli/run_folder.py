@@ -59,5 +59,7 @@ def show(
         print(json.dumps(result, allow_nan=False))
         return
     print_tables(result, console)
-    console.print(f"report:    {report}", highlight=False, soft_wrap=True)
-    console.print(f"recording: {folder / 'recording'}", highlight=False, soft_wrap=True)
+    console.print(f"report:    {report}", markup=False, highlight=False, soft_wrap=True)
+    console.print(
+        f"recording: {folder / 'recording'}", markup=False, highlight=False, soft_wrap=True
+    )

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from viskill_deploy.observe.labels import rule_label, with_labels
 from viskill_deploy.runtime.checklist import Line
@@ -22,7 +23,7 @@ def print_preflight(
 ) -> None:
     """Prints the lines of a preflight, then the files as `sha256sum` does."""
     if console.is_terminal:
-        table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+        table = Table(title=Text(title), title_justify="left", box=None, pad_edge=False)
         table.add_column("")
         table.add_column("what", style="bold", no_wrap=True)
         table.add_column("margin", justify="right", no_wrap=True)
@@ -30,7 +31,8 @@ def print_preflight(
         for line in shown(lines):
             style = STYLES[line.status] if line.status != "pass" else ""
             mark = f"[{STYLES[line.status]}]{MARKS[line.status]}[/]"
-            table.add_row(mark, label(line), percent(line.margin), found(line), style=style)
+            told = map(Text, (label(line), percent(line.margin), found(line)))
+            table.add_row(mark, *told, style=style)
         console.print(table)
     else:
         console.print(title, markup=False, highlight=False, soft_wrap=True)

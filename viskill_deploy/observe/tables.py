@@ -82,12 +82,12 @@ def _title(result: Result) -> str:
 
 
 def _fact_table(result: Result) -> Table:
-    table = Table(title=_title(result), title_justify="left", show_header=False)
+    table = Table(title=Text(_title(result)), title_justify="left", show_header=False)
     table.add_column(style="bold")
     table.add_column(justify="right")
     for fact in facts(result):
         style = {True: "green", False: "red", None: ""}[fact.good]
-        table.add_row(fact.name, fact.text, style=style)
+        table.add_row(fact.name, Text(fact.text), style=style)
     return table
 
 
@@ -100,7 +100,9 @@ def _skill_table(result: Result) -> Table:
         style = "" if row.good else "red"
         value = Text(row.value, style="yellow" if row.values_low else "")
         source = row.source or "–"
-        table.add_row(row.name, row.steps, row.result, source, value, row.stretch, style=style)
+        table.add_row(
+            Text(row.name), row.steps, row.result, source, value, row.stretch, style=style
+        )
     return table
 
 
@@ -132,7 +134,7 @@ def _fault_table(result: Result) -> Table:
     for name in ("what happened", "declared", "seen"):
         table.add_column(name)
     for row in struck_rows(result):
-        table.add_row(*row)
+        table.add_row(*map(Text, row))
     return table
 
 

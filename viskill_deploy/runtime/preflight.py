@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from viskill_deploy.bundle.format import MANIFEST, Bundle, check_fits, load_bundle
+from viskill_deploy.bundle.format import MANIFEST, Bundle, load_bundle
 from viskill_deploy.core import data
 from viskill_deploy.core.calibration_files import (
     CalibrationFile,
@@ -240,6 +240,30 @@ def _scene(cell: CellDescription, path: Path) -> Found[SeenScene]:
         f"{many} object{'s' * (many > 1)}, {seen.scene.active} to be moved; positions known "
         f"within {1e3 * sigma:.2f} mm (one sigma)",
     )
+
+
+def check_fits(bundle: Bundle, cell: CellDescription) -> None:
+    """Refuses a bundle that was trained for other arms, tools or another cell.
+
+    Raises:
+        BundleError: names what differs.
+    """
+    manifest = bundle.manifest
+    if manifest.cell != cell.name:
+        raise BundleError(
+            bundle.path, f"was trained for cell {manifest.cell!r}, not {cell.name!r}; use that cell"
+        )
+    wanted = [(arm.name, arm.robot, arm.tool) for arm in manifest.arms]
+    present = [(arm.name, arm.entry.robot, arm.entry.tool) for arm in cell.arms]
+    for want, have in zip(wanted, present, strict=False):
+        if want != have:
+            raise BundleError(
+                bundle.path,
+                f"was trained with {' '.join(want)}, the cell holds {' '.join(have)}; "
+                "mount that tool or train a bundle for this cell",
+            )
+    if len(wanted) != len(present):
+        raise BundleError(bundle.path, f"needs {len(wanted)} arms, the cell has {len(present)}")
 
 
 def _check_layout(bundle: Bundle, task: Task) -> None:

@@ -15,13 +15,14 @@ from untrained import linear_graph, misshapen_graph
 
 from viskill_deploy.bundle import graphs
 from viskill_deploy.bundle.chain import SkillChain
-from viskill_deploy.bundle.format import MANIFEST, check_fits, load_bundle, write_manifest
+from viskill_deploy.bundle.format import MANIFEST, load_bundle, write_manifest
 from viskill_deploy.bundle.format import Manifest as ManifestModel
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import BundleError
 from viskill_deploy.core.sealed import sealed
 from viskill_deploy.core.types import Scene, SkillStart
 from viskill_deploy.motion.waypoints import ActionSpec
+from viskill_deploy.runtime.preflight import check_fits
 
 pytestmark = pytest.mark.invariant("S28")
 
@@ -162,6 +163,10 @@ BAD: dict[str, Edit] = {
     "unknown key": put("pickle", "weights.pkl"),
     "missing key": drop("skills"),
     "no skills": put("skills", []),
+    "name that is a path": put("name", "x/../../evil"),
+    "name that is markup": put("name", "mine [/v2]"),
+    "name of nothing": put("name", ""),
+    "endless name": put("name", "x" * 101),
     "negative step": put("step_s", -0.2),
     "other frame": put("frame", "world"),
     "scaled units": put("length_unit", "5m"),

@@ -231,6 +231,15 @@ def test_a_folder_in_use_is_not_overwritten(policy: Official, tmp_path: Path) ->
     assert (tmp_path / "mine.txt").read_text() == "keep"
 
 
+@pytest.mark.parametrize("name", ["mine [v2]", ".hidden"])
+def test_a_folder_whose_name_is_none_for_a_bundle_is_refused(
+    policy: Official, tmp_path: Path, name: str
+) -> None:
+    with pytest.raises(BundleError, match="no name for a bundle"):
+        write_bundle(policy, TASK, tmp_path / name)
+    assert not (tmp_path / name).exists()
+
+
 def test_import_load_and_a_first_action_need_no_torch(folder: Path, tmp_path: Path) -> None:
     source, target = str(folder / "still"), str(tmp_path / "b")
     code = f"""
@@ -276,6 +285,19 @@ def test_inspect_tells_of_the_adapter_and_of_the_value(still: Bundle, capsys: An
     assert "lengths x 5, task frame at (0.55, 0, 0.6971) m of the world" in told
     assert "no probability" in told
     assert "it fits the cell bipegtransfer" in told
+
+
+def test_inspect_shows_texts_of_a_bundle_as_they_are(
+    still: Bundle, tmp_path: Path, capsys: Any
+) -> None:
+    copy = Path(shutil.copytree(still.path, tmp_path / "copy"))
+    figure = {"distribution": "mine [/v2]", "mode": "plan", "episodes": 1, "success_rate": 0.0}
+    resign(copy, method="[red]own", created_by="me [/v2]", measured=[figure | {"command": ""}])
+    inspect.command(copy, json_=False)
+    told = capsys.readouterr().out
+    assert "[red]own" in told
+    assert "me [/v2]" in told
+    assert "mine [/v2]" in told
 
 
 def test_a_plan_takes_actions_as_the_manifest_means_them(still: Bundle) -> None:

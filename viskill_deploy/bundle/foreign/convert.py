@@ -8,8 +8,7 @@ from viskill_deploy.bundle.adapter import AdapterEntry
 from viskill_deploy.bundle.foreign.description import Description
 from viskill_deploy.bundle.foreign.wrapping import wrapped
 from viskill_deploy.bundle.format import ActionEntry, TrainingRange, skill_file, write_manifest
-from viskill_deploy.bundle.making import imported_manifest
-from viskill_deploy.core.errors import BundleError
+from viskill_deploy.bundle.making import imported_manifest, new_name
 from viskill_deploy.sim.tasks.base import Task
 
 UNKNOWN_RANGE = 1e6
@@ -37,8 +36,7 @@ def write_foreign(policy: Path, description: Description, task: Task, folder: Pa
         BundleError: the folder is in use, or no usable ONNX file.
         DataFileError: the description does not fit the task or the file; names the line.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise BundleError(folder, "is not an empty folder; name a new one")
+    name = new_name(folder)
     description.check(task)
     graph = wrapped(policy, description, task)
     folder.mkdir(parents=True, exist_ok=True)
@@ -48,7 +46,7 @@ def write_foreign(policy: Path, description: Description, task: Task, folder: Pa
     size = sum(count for _, count in task.observation_layout)
     manifest = imported_manifest(
         task,
-        name=folder.name,
+        name=name,
         method="onnx",
         adapter=AdapterEntry(
             frame="world",
@@ -68,9 +66,7 @@ def write_foreign(policy: Path, description: Description, task: Task, folder: Pa
         ),
         training_range=TrainingRange(lower=(-UNKNOWN_RANGE,) * size, upper=(UNKNOWN_RANGE,) * size),
     )
-    text = CARD.format(
-        name=folder.name, policy=policy.name, task=task.name, file=description.path.name
-    )
+    text = CARD.format(name=name, policy=policy.name, task=task.name, file=description.path.name)
     (folder / "MODEL_CARD.md").write_text(text, encoding="utf-8")
     write_manifest(folder, manifest)
     return folder

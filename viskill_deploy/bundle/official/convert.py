@@ -19,7 +19,7 @@ from viskill_deploy.bundle.format import (
     value_file,
     write_manifest,
 )
-from viskill_deploy.bundle.making import imported_manifest
+from viskill_deploy.bundle.making import imported_manifest, new_name
 from viskill_deploy.bundle.official.checkpoint import Official
 from viskill_deploy.bundle.official.graphs import chain_graph, skill_graph, value_graph
 from viskill_deploy.core.errors import BundleError, DataFileError
@@ -63,8 +63,7 @@ def write_bundle(official: Official, task: Task, folder: Path, scripted: bool = 
     Raises:
         BundleError: the folder is in use, or there is no chaining policy to take subgoals from.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise BundleError(folder, "is not an empty folder; name a new one")
+    bundle_name = new_name(folder)
     if not official.chaining and not scripted:
         raise BundleError(
             next(iter(official.skills.values())).path,
@@ -79,7 +78,7 @@ def write_bundle(official: Official, task: Task, folder: Path, scripted: bool = 
     folder.mkdir(parents=True, exist_ok=True)
     for file, graph in graphs.items():
         (folder / file).write_bytes(graph)
-    manifest = _manifest(official, task, folder.name, scripted)
+    manifest = _manifest(official, task, bundle_name, scripted)
     (folder / CARD).write_text(_card(official, manifest, _adapter(task)), encoding="utf-8")
     write_manifest(folder, manifest)
     return folder
