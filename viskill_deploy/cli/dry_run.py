@@ -245,11 +245,9 @@ def _prepared(sources: Sources) -> Prepared | PreparedTrajectory:
     path = sources.bundle
     if not (path.is_file() or path.name.endswith(PLAN_ENDING)):
         return prepare(sources)
-    if sources.robot or sources.calibration or sources.scene:
-        raise typer.BadParameter(
-            "--robot, --calibration and --scene go with a policy bundle; a plan file names its cell"
-        )
-    return prepare_trajectory(path)
+    if sources.calibration or sources.scene:
+        raise typer.BadParameter("--calibration and --scene go with a policy bundle, not a plan")
+    return prepare_trajectory(path, sources.robot)
 
 
 def _check(

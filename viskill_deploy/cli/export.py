@@ -11,15 +11,15 @@ from rich.console import Console
 from typer.core import TyperGroup
 
 from viskill_deploy.cli.names import FrameName, PointName
-from viskill_deploy.core.description import load_cell
+from viskill_deploy.cli.sources import Robot
 from viskill_deploy.core.errors import MissingExtraError
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.motion.frames import Label
 from viskill_deploy.motion.resolve import resolve, start_seeds
-from viskill_deploy.motion.trajectory import read_plan, written_of
+from viskill_deploy.motion.trajectory import written_of
 from viskill_deploy.motion.waypoints import start_waypoint
 from viskill_deploy.observe.trajectory_files import JointNames, write_joint_plan, write_written
-from viskill_deploy.runtime.trajectory import plan_waypoints
+from viskill_deploy.runtime.trajectory import open_plan, plan_waypoints
 
 EXAMPLE = "Example: viskill export runs/viskill runs/mine"
 TRAJECTORY_EXAMPLE = "Example: viskill export trajectory mine.plan.json mine.csv --rate 200"
@@ -79,6 +79,7 @@ def command(
 def trajectory(
     plan: Annotated[Path, typer.Argument(help="A *.plan.json of `viskill import trajectory`.")],
     output: Annotated[Path, typer.Argument(help="A .csv, a .npz, or a new folder for a bag.")],
+    robot: Robot = "",
     rate: Annotated[float, typer.Option(min=10, max=2000, help="Setpoints a second.")] = 250.0,
     speed: Annotated[
         float, typer.Option(min=0.05, max=1.0, help="Part of the planned tip speed to use.")
@@ -96,15 +97,14 @@ def trajectory(
     Joint plans start where the cell's arms start. What plays them has no gate of
     its own: play them through `viskill guard`, at the same rate.
     """
-    file = read_plan(plan)
-    cell = load_cell(file.cell)
+    cell, points = open_plan(plan, robot)
     if waypoints:
         label = Label(frame.value, control_point.value)
-        write_written(output, written_of(cell, file.unpacked(), label))
-        print(f"{len(file.waypoints)} waypoints, {label}: {output}")
+        write_written(output, written_of(cell, points, label))
+        print(f"{len(points)} waypoints, {label}: {output}")
         return
     home = resolve(cell, [start_waypoint(cell)], start_seeds(cell))[1]
-    motion = plan_waypoints(cell, file.unpacked(), home, speed).motion
+    motion = plan_waypoints(cell, points, home, speed).motion
     table: FloatArray = np.ascontiguousarray(motion.table(1.0 / rate)[:, :, :2])
     arms = [
         JointNames(arm.name, (*(joint.name for joint in arm.arm.joints), "jaw"))

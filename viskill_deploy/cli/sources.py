@@ -19,7 +19,7 @@ Robot = Annotated[
         "--robot",
         "--cell",
         help="Cell of the robot: a name in robots/cells, or the path of a TOML file. That of the "
-        "bundle, or of the CAN file, by default.",
+        "bundle, plan or CAN file by default.",
     ),
 ]
 Calibration = Annotated[Path | None, typer.Option(help="Calibration file of that cell.")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,12 +13,14 @@ import numpy as np
 import pinocchio
 from pydantic import Field
 
+from viskill_deploy.core import data
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DataFileError, MotionError
 from viskill_deploy.core.robot_files import Positive, Table, Vector3, validated
 from viskill_deploy.core.types import FloatArray, Waypoint
 from viskill_deploy.motion.frames import Label, from_task, to_task
 
+SCHEMA = 2
 MAX_WAYPOINTS = 100_000
 UNIT_TOLERANCE = 1e-3
 """Quaternions may be this far from unit length: a file with four digits is."""
@@ -175,11 +178,17 @@ class WaypointEntry(Table):
 
 
 class PlanFile(Table):
-    """`*.plan.json`: waypoints that `viskill dry-run` follows."""
+    """`*.plan.json`: waypoints that `viskill dry-run` follows.
 
-    schema_version: Literal[1] = Field(alias="schema")
+    Attributes:
+        cell: name of the cell that they were made for.
+        cell_sha256: `cell_sha256` of that cell.
+    """
+
+    schema_version: Literal[2] = Field(alias="schema")
     kind: Literal["trajectory"]
     cell: str
+    cell_sha256: str
     arms: tuple[str, ...]
     step_s: Positive
     source: str
@@ -199,6 +208,12 @@ class PlanFile(Table):
         return result
 
 
+def cell_sha256(cell: CellDescription) -> str:
+    """Hex SHA-256 over the cell's own file and those of its arms and tools, wherever they lie."""
+    digests = [data.sha256(path) for path in cell.files]
+    return hashlib.sha256("".join(digests).encode()).hexdigest()
+
+
 def write_plan(
     path: Path, cell: CellDescription, waypoints: Sequence[Waypoint], source: str
 ) -> None:
@@ -214,9 +229,10 @@ def write_plan(
         for i in range(len(waypoints))
     ]
     head = {
-        "schema": 1,
+        "schema": SCHEMA,
         "kind": "trajectory",
         "cell": cell.name,
+        "cell_sha256": cell_sha256(cell),
         "arms": [arm.name for arm in cell.arms],
         "step_s": waypoints[0].step_s,
         "source": source,
@@ -232,6 +248,10 @@ def read_plan(path: Path) -> PlanFile:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise DataFileError(path, "", f"is no plan file ({error}); import it again") from error
+    if isinstance(content, dict) and content.get("schema") != SCHEMA:
+        raise DataFileError(
+            path, "schema", f"is not {SCHEMA}: it lacks the digest of its cell; import it again"
+        )
     plan = validated(path, PlanFile, content)
     count = len(plan.arms)
     for index, entry in enumerate(plan.waypoints):

@@ -82,7 +82,7 @@ def dry_run(
         prepared: bundle, task and cell; or waypoints and cell.
         options: what to run.
         recorder: where it is recorded.
-        progress: called after every episode.
+        progress: called after every episode. A plan file that is refused ends the run.
         say: told what people should know before anything moves.
     """
     clock, notes = MonotonicClock(), list(prepared.notes)
@@ -117,7 +117,10 @@ def dry_run(
         began = clock.now()
         try:
             for episode in range(options.episodes):
-                progress(_episode(session, prepared, options, episode))
+                result, refusal = _episode(session, prepared, options, episode)
+                progress(result)
+                if refusal is not None and isinstance(prepared, PreparedTrajectory):
+                    raise refusal  # the same plan is refused in every episode
                 go_on(session)
         except ViskillError as error:
             failure = error
@@ -132,11 +135,11 @@ def _episode(
     prepared: Prepared | PreparedTrajectory,
     options: DryRunOptions,
     episode: int,
-) -> EpisodeResult:
+) -> tuple[EpisodeResult, ViskillError | None]:
+    """An episode's result, and why nothing was moved; None where something was."""
+    refusal: ViskillError | None = None
     rng = np.random.default_rng([LAYOUTS, options.seed, episode])
-    layout = layout_of(prepared, options, rng)
-    if layout is not None:
-        session.driver.reset(layout)
+    session.driver.reset(layout_of(prepared, options, rng))
     began = session.driver.clock.now()
     try:
         if isinstance(prepared, PreparedTrajectory):
@@ -146,23 +149,23 @@ def _episode(
             result = from_start_pose(session, options.mode, job, rng, episode)
     except (MotionError, KinematicsError, SafetyStop) as error:  # before anything moved
         session.settle()
-        result = EpisodeResult(episode, refused=str(error))
+        result, refusal = EpisodeResult(episode, refused=str(error)), error
     result.simulated_s = session.driver.clock.now() - began
     session.ledger.end_episode(result)
-    return result
+    return result, refusal
 
 
 def layout_of(
     prepared: Prepared | PreparedTrajectory,
     options: DryRunOptions,
     rng: np.random.Generator,
-) -> Scene | None:
-    """Where the things of an episode are put; None leaves them where they are."""
+) -> Scene:
+    """Where the things of an episode are put; those that it does not name stay where they are."""
     if isinstance(prepared, Prepared) and prepared.scene is not None:
         return prepared.scene.scene
     distribution = options.distribution or next(iter(prepared.distributions), None)
     if prepared.task is None or distribution is None:
-        return None
+        return Scene(0.0, (), "", np.zeros(3))
     return prepared.task.sample_layout(rng, distribution)
 
 

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from viskill_deploy.core import data
-from viskill_deploy.core.description import CellDescription, load_cell
-from viskill_deploy.core.errors import DataFileError
+from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.types import Waypoint
-from viskill_deploy.motion.trajectory import read_plan
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.moves import axes_of, stream
 from viskill_deploy.runtime.session import Session
-from viskill_deploy.runtime.trajectory import plan_waypoints
+from viskill_deploy.runtime.trajectory import open_plan, plan_waypoints
 from viskill_deploy.sim.tasks.base import Task, load_task, task_names
 
 PLAN_ENDING = ".plan.json"
@@ -55,17 +53,17 @@ class PreparedTrajectory:
         }
 
 
-def prepare_trajectory(path: Path) -> PreparedTrajectory:
-    """A plan file, if its cell is here and has its arms.
+def prepare_trajectory(path: Path, cell_name: str = "") -> PreparedTrajectory:
+    """A plan file, if the cell that it was made for is here.
+
+    Args:
+        path: the plan file.
+        cell_name: name or file of the cell; by default the plan's, in `robots/cells`.
 
     Raises:
-        DataFileError: the plan, or a file of the cell, is wrong.
+        DataFileError: the plan, or a file of the cell, is wrong; or it is another cell.
     """
-    plan = read_plan(path)
-    cell = load_cell(plan.cell)
-    names = tuple(arm.name for arm in cell.arms)
-    if plan.arms != names:
-        raise DataFileError(path, "arms", f"is {plan.arms}, {cell.name} has {names}; import again")
+    cell, waypoints = open_plan(path, cell_name)
     task = load_task(cell.name, cell) if cell.name in task_names() else None
     notes = [
         "success means that the trajectory was followed to its end, not that a task was done",
@@ -77,7 +75,7 @@ def prepare_trajectory(path: Path) -> PreparedTrajectory:
     ]
     files = data.digests((*cell.files, path))
     name = path.name.removesuffix(PLAN_ENDING)
-    return PreparedTrajectory(name, task, cell, tuple(plan.unpacked()), files, tuple(notes))
+    return PreparedTrajectory(name, task, cell, tuple(waypoints), files, tuple(notes))
 
 
 def followed(session: Session, waypoints: Sequence[Waypoint], episode: int) -> EpisodeResult:

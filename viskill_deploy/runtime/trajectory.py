@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from viskill_deploy.core.description import CellDescription
+from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import DataFileError, MotionError
 from viskill_deploy.core.types import FloatArray, Waypoint
 from viskill_deploy.motion.frames import FRAMES, Label
 from viskill_deploy.motion.plan import smooth
 from viskill_deploy.motion.resolve import densified, resolve, waypoint_at
-from viskill_deploy.motion.trajectory import Written, waypoints_of
+from viskill_deploy.motion.trajectory import Written, cell_sha256, read_plan, waypoints_of
 from viskill_deploy.motion.waypoints import start_waypoint
 from viskill_deploy.runtime.planning import Plan
 
@@ -29,6 +30,37 @@ APART_M, APART_RAD = 0.003, 0.3
 
 INSERTION_TRAP_M = 0.0071
 """AMBF and the surgical robotics challenge have -0.4389 m where the dVRK has -0.4318."""
+
+
+def open_plan(path: Path, cell_name: str = "") -> tuple[CellDescription, list[Waypoint]]:
+    """The waypoints of a plan file, and the very cell that they were made for.
+
+    Args:
+        path: the plan file.
+        cell_name: name or file of the cell; by default the plan's, in `robots/cells`.
+
+    Raises:
+        DataFileError: the plan, or a file of the cell, is wrong; or it is another cell.
+    """
+    plan = read_plan(path)
+    try:
+        cell = load_cell(cell_name or plan.cell)
+    except DataFileError as error:
+        if cell_name:
+            raise
+        reason = f"{plan.cell!r} cannot be loaded ({error}); name the cell's file with --cell"
+        raise DataFileError(path, "cell", reason) from error
+    if plan.cell_sha256 != cell_sha256(cell):
+        raise DataFileError(
+            path,
+            "cell",
+            f"{plan.cell!r} was another cell than {cell.files[0]} (or a robot or tool of it) is "
+            "now; name the cell's file with --cell, or import the trajectory again",
+        )
+    names = tuple(arm.name for arm in cell.arms)
+    if plan.arms != names:
+        raise DataFileError(path, "arms", f"is {plan.arms}, {cell.name} has {names}; import again")
+    return cell, plan.unpacked()
 
 
 def plan_waypoints(

@@ -342,7 +342,7 @@ def test_a_plan_file_that_makes_no_sense_is_refused(
     write_plan(path, CELL, waypoints[:2], "test")
     good = path.read_text()
     for old, new in (
-        ('"schema": 1', '"schema": 2'),
+        ('"schema": 2', '"schema": 1'),
         ('"step_s": 0.2', '"step_s": 0'),
         ('"quaternion_xyzw": [[', '"quaternion_xyzw": [[9'),
         ('"jaw_rad": [', '"jaw_rad": [0.0, '),

@@ -56,7 +56,6 @@ def test_every_episode_draws_its_layout_where_nobody_says_where_things_are(mode:
     places = []
     for _ in range(2):
         layout = layout_of(prepared, DryRunOptions(mode=mode), rng)
-        assert layout is not None
         places.append(layout.pose(layout.active)[:2, 3])
     assert not np.allclose(places[0], places[1])
 
@@ -64,7 +63,7 @@ def test_every_episode_draws_its_layout_where_nobody_says_where_things_are(mode:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["policy.plan.json", "--scene", "scene.toml"], "a plan file names its cell"),
+        (["policy.plan.json", "--scene", "scene.toml"], "go with a policy bundle"),
         ([str(BUNDLE), "--scene", "scene.toml", "--distribution", "wide"], "leave --distribution"),
     ],
 )

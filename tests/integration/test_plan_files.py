@@ -1,0 +1,92 @@
+"""Plan files from import to export and dry run: what they hold on to, and what they refuse."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from viskill_deploy.cli.main import app
+from viskill_deploy.core.description import CellDescription, load_cell
+from viskill_deploy.core.types import Waypoint
+from viskill_deploy.motion.frames import Label
+from viskill_deploy.motion.trajectory import written_of
+from viskill_deploy.motion.waypoints import start_waypoint
+from viskill_deploy.observe.trajectory_files import write_written
+
+ROOT = Path(__file__).resolve().parents[2]
+CELL = load_cell("bipegtransfer")
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*arguments: object) -> SimpleNamespace:
+    """A command in this process: whether it went well, its output, the sentence of an error."""
+    ran = CliRunner().invoke(app, [str(a) for a in arguments])
+    return SimpleNamespace(ok=ran.exit_code == 0, out=ran.output, error=str(ran.exception))
+
+
+def moved(rows: int, step_m: float, cell: CellDescription = CELL) -> list[Waypoint]:
+    """Both tips go along x from the start pose, 0.2 s a row."""
+    start = start_waypoint(cell)
+    way = []
+    for i in range(rows):
+        poses = [np.array(T) for T in start.T_task_tip]
+        for T in poses:
+            T[0, 3] += i * step_m
+        way.append(Waypoint(tuple(poses), start.jaw, 0.2))
+    return way
+
+
+def write(name: str, waypoints: list[Waypoint], label: Label, cell: CellDescription = CELL) -> None:
+    write_written(Path(name), written_of(cell, waypoints, label))
+
+
+CRTK = Label("crtk", "jaw-pivot")
+
+
+def lab_file(name: str) -> Path:
+    """A cell whose PSM1 stands 20 mm from where the packaged one's does."""
+    text = (ROOT / "robots/cells/bipegtransfer.toml").read_text(encoding="utf-8")
+    text = text.replace("[-0.04293, 0.07364, 0.1553]", "[-0.06293, 0.07364, 0.1553]")
+    text = text.replace('name = "bipegtransfer"', f'name = "{name}"')
+    path = Path(f"{name}-lab.toml")
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", ["bipegtransfer", "mylab"])
+def test_a_plan_is_followed_only_on_the_cell_that_it_was_made_for(name: str) -> None:
+    file = lab_file(name)
+    lab = load_cell(file)
+    write("rows.csv", moved(3, 0.003, lab), CRTK, lab)
+    assert run("import", "trajectory", "rows.csv", "-o", "a.plan.json", "--cell", file).ok
+    assert str(Path.cwd()) not in Path("a.plan.json").read_text(encoding="utf-8")
+    for command in (("export", "trajectory", "a.plan.json", "a.csv"), ("dry-run", "a.plan.json")):
+        told = run(*command)
+        assert not told.ok
+        assert "--cell" in told.error
+        other = run(*command, "--cell", "bipegtransfer")
+        assert not other.ok
+        assert "import the trajectory again" in other.error
+    assert not Path("a.csv").exists()
+    assert run("export", "trajectory", "a.plan.json", "a.csv", "--cell", file).ok
+    assert (
+        dry := run("dry-run", "a.plan.json", "--cell", file, "--no-video", "--output", "run")
+    ).ok, dry.out
+    file.write_text(file.read_text(encoding="utf-8").replace("-0.06293", "-0.06294"))
+    changed = run("export", "trajectory", "a.plan.json", "b.csv", "--cell", file)
+    assert "import the trajectory again" in changed.error
+
+
+def test_a_plan_file_without_its_cells_digest_has_to_be_imported_again() -> None:
+    write("rows.csv", moved(3, 0.003), CRTK)
+    assert run("import", "trajectory", "rows.csv", "-o", "a.plan.json", "--cell", CELL.name).ok
+    plan = Path("a.plan.json")
+    plan.write_text(plan.read_text(encoding="utf-8").replace('"schema": 2', '"schema": 1'))
+    old = run("export", "trajectory", "a.plan.json", "a.csv")
+    assert "lacks the digest of its cell; import it again" in old.error
