@@ -172,7 +172,8 @@ def command(
     """Dry-run a policy bundle, or a trajectory, on the simulated cell.
 
     Every setpoint goes through IK, smoothing and the safety gate, as on a robot. Writes a
-    recording, figures and a report. Exits with 5 after a safety stop, 3 on a bad bundle.
+    recording, figures and a report. Exits with 5 after a safety stop, or where the gate would
+    not pass a plan file; with 3 on a bad bundle, or a plan file that cannot be followed.
     """
     prepared = _prepared(Sources(bundle, robot, calibration, scene, wall_time()))
     if scene is not None and distribution is not None:

@@ -76,7 +76,7 @@ class Ledger:
 
     def __init__(self, cell: CellDescription, period_s: float, rules: Sequence[str]) -> None:
         self._cell, self._period_s, self._rules = cell, period_s, tuple(rules)
-        self._margins = [1.0] * len(self._rules)
+        self._margins: list[float] = []
         self._sent: list[tuple[JointSetpoint, ...]] = []
         self.setpoints = 0
         self.interventions = 0
@@ -97,10 +97,11 @@ class Ledger:
     ) -> None:
         """Adds one control cycle."""
         self._sent.append(sent)
+        before = self._margins or [1.0] * len(self._rules)
         # a margin that is no number counts as broken, or it would be forgotten
         self._margins = [
             (a if a <= b else b) if b <= 1.0 else BROKEN
-            for a, b in zip(self._margins, margins, strict=True)
+            for a, b in zip(before, margins, strict=True)
         ]
         self.worst = max(self.worst, action)
 
@@ -134,21 +135,24 @@ class Ledger:
 
         `joint_margin_min` is the smallest distance of any sent joint position to its limit, as a
         part of that joint's range; `margins` are the gate's, 1 far away and 0 at the threshold.
+        Of a run without a setpoint there are none: None, and no margins without a control cycle.
         """
         done = self.episodes
+        figures: dict[str, float | None] = dict.fromkeys(self._figures)
+        figures |= self._figures if self.setpoints else {}
         return {
             "episodes": len(done),
             "success_rate": sum(e.success for e in done) / max(len(done), 1),
             "interventions": self.interventions,
             "refused": sum(bool(e.refused) for e in done),
             "retries": sum(e.retries for e in done),
-            "rcm_error_max_m": self._figures["rcm"],
-            "joint_margin_min": self._figures["margin"],
-            "tip_speed_max_m_s": self._figures["tip"],
+            "rcm_error_max_m": figures["rcm"],
+            "joint_margin_min": figures["margin"],
+            "tip_speed_max_m_s": figures["tip"],
             "setpoints": self.setpoints,
             "simulated_s": sum(e.simulated_s for e in done),
             "worst_action": self.worst.name,
-            "margins": dict(zip(self._rules, self._margins, strict=True)),
+            "margins": dict(zip(self._rules, self._margins, strict=False)),
             "episode_results": [_episode(e) for e in done],
         }
 
