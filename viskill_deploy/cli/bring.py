@@ -94,13 +94,16 @@ def trajectory(
 ) -> None:
     """Turn Cartesian waypoints into a plan for `viskill dry-run`, after a look for usual traps."""
     description = load_cell(cell)
-    written = read_written(file)
+    names = [arm.name for arm in description.arms]
+    written = read_written(file, names, frame.value if frame else None)
     label = _declared(written.label, frame, control_point, length_scale, file)
     waypoints = checked_waypoints(description, written, label, step, str(file))
     held = resolve(description, [start_waypoint(description)], start_seeds(description))
     plan = plan_waypoints(description, waypoints, held[1])
     write_plan(output, description, waypoints, f"{file.name}, {label}")
     look = look_at(description, waypoints)
+    for note in written.notes:
+        print(note)
     print(f"{len(waypoints)} waypoints read as {label}, {waypoints[0].step_s:.4g} s a step")
     print(f"starts {1e3 * look.start_m:.1f} mm from where the arms start")
     print(f"takes {plan.motion.duration_s:.2f} s, {plan.motion.stretch:.2f} x the steps' own time")

@@ -52,11 +52,13 @@ class Written:
         time_s: one a waypoint, (n,); None where the file has none.
         arms: by name.
         label: what the numbers mean, as far as the file says it.
+        notes: what people should know of how it was read.
     """
 
     time_s: FloatArray | None
     arms: Mapping[str, ArmPath]
     label: Label | None = None
+    notes: tuple[str, ...] = ()
 
 
 def quaternions(R: FloatArray) -> FloatArray:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import io
-import re
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,35 +15,32 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.rosbag2 import ReaderError
-from rosbags.typesys import Stores, get_typestore
 
 from viskill_deploy.core.description import rpy_matrix
 from viskill_deploy.core.errors import MotionError, RecordingError
 from viskill_deploy.core.types import FloatArray
-from viskill_deploy.motion.frames import CONTROL_POINTS, FRAMES, Label
+from viskill_deploy.motion.frames import Frame
 from viskill_deploy.motion.trajectory import ArmPath, Written, quaternions
 from viskill_deploy.observe import layout
 from viskill_deploy.observe.mcap_file import McapFile, write_metadata
-from viskill_deploy.observe.mcap_runs import RunFile
 from viskill_deploy.observe.messages import JOINT_STATE, POSE_STAMPED
+from viskill_deploy.observe.trajectory_bags import read_bag
+from viskill_deploy.observe.trajectory_labels import LABEL_KEYS, label_of, label_texts
 
 ORIGIN_NS = 10**9
 """Stamp of a bag's first message: 0 would mean that there is none."""
 
 MAX_BYTES = 256 * 2**20
 POSITION, QUATERNION, EULER = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
-POSE_TOPICS = ("setpoint_cp", "servo_cp", "move_cp", "measured_cp")
-JAW_TOPICS = ("setpoint_js", "servo_jp", "move_jp", "measured_js")
-"""Of an arm, and of its jaw: the first that a bag has is taken."""
-
-LABEL_KEYS = ("frame", "control_point", "length_scale")
 
 
-def read_written(path: Path) -> Written:
+def read_written(path: Path, arms: Sequence[str] = (), frame: Frame | None = None) -> Written:
     """The trajectory in a file.
+
+    Args:
+        path: a .csv, a .npz, or a bag.
+        arms: the arms to read out of a bag; all that are there when empty.
+        frame: as `read_bag` takes it.
 
     Raises:
         MotionError: the file holds no trajectory; says what is missing.
@@ -59,7 +55,7 @@ def read_written(path: Path) -> Written:
     if kind == ".npz":
         return _read_npz(path)
     if path.is_dir() or kind in {".mcap", ".bag", ".db3"}:
-        return _read_bag(path)
+        return read_bag(path, arms, frame)
     raise MotionError(f"{path}: is no .csv, .npz, .mcap, .bag or folder of a bag")
 
 
@@ -70,7 +66,7 @@ def write_written(path: Path, written: Written) -> None:
         MotionError: another ending.
         RecordingError: the bag's folder exists.
     """
-    label = _label_texts(written.label)
+    label = label_texts(written.label)
     if path.suffix == ".csv":
         path.write_text(_csv_text(written, label), encoding="utf-8")
     elif path.suffix == ".npz":
@@ -83,34 +79,6 @@ def write_written(path: Path, written: Written) -> None:
         _write_bag(path, written, label)
     else:
         raise MotionError(f"{path}: name a .csv, a .npz, or a folder for a bag")
-
-
-def _label_texts(label: Label | None) -> dict[str, str]:
-    if label is None:
-        return {}
-    texts = {"frame": str(label.frame), "control_point": str(label.control_point)}
-    return (
-        texts if label.length_scale is None else texts | {"length_scale": f"{label.length_scale!r}"}
-    )
-
-
-def _label(texts: Mapping[str, str], path: Path) -> Label | None:
-    """What a file says of its numbers; None where it says nothing."""
-    if not {"frame", "control_point"} & texts.keys():
-        return None
-    frame, point = texts.get("frame"), texts.get("control_point")
-    if frame not in FRAMES or point not in CONTROL_POINTS:
-        raise MotionError(
-            f"{path}: says frame {frame!r} and control point {point!r}; known are "
-            f"{', '.join(FRAMES)} and {', '.join(CONTROL_POINTS)}"
-        )
-    try:
-        scale = float(texts["length_scale"]) if "length_scale" in texts else None
-    except ValueError:
-        scale = np.nan
-    if scale is not None and not 0.0 < scale < np.inf:
-        raise MotionError(f"{path}: says length_scale {texts['length_scale']!r}; give a number > 0")
-    return Label(frame, point, scale)
 
 
 def _csv_text(written: Written, label: Mapping[str, str]) -> str:
@@ -158,7 +126,7 @@ def _read_csv(path: Path) -> Written:
     paths = {arm: _csv_arm(path, arm, table) for arm in arms}
     if table:
         raise MotionError(f"{path}: does not know the columns {', '.join(table)}")
-    return Written(time_s, paths, _label(texts, path))
+    return Written(time_s, paths, label_of(texts, path))
 
 
 def _csv_arm(path: Path, arm: str, table: dict[str, FloatArray]) -> ArmPath:
@@ -199,75 +167,7 @@ def _read_npz(path: Path) -> Written:
                 raise MotionError(f"{path}: lacks the numbers {arm}/{part}")
             parts.append(np.asarray(values, dtype=np.float64))
         paths[arm] = ArmPath(*parts)
-    return Written(time_s, paths, _label(texts, path))
-
-
-Track = tuple[list[int], list[list[float]]]
-"""Times, ns, and numbers of the messages of one topic."""
-
-
-def _read_bag(path: Path) -> Written:
-    """PoseStamped of every arm, and its jaw's JointState nearest in time."""
-    tracks: dict[str, Track] = {}
-    ends = f"({'|'.join(POSE_TOPICS)})|jaw/({'|'.join(JAW_TOPICS)})"
-    wanted = re.compile(rf"/\w+/(?:local/)?(?:{ends})")
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            chosen = [c for c in reader.connections if wanted.fullmatch(c.topic)]
-            for connection, log_ns, raw in reader.messages(connections=chosen) if chosen else ():
-                message: Any = reader.deserialize(raw, connection.msgtype)
-                stamp = message.header.stamp
-                times, rows = tracks.setdefault(connection.topic, ([], []))
-                times.append(stamp.sec * 10**9 + stamp.nanosec or log_ns)
-                rows.append(_numbers(message))
-    except (AnyReaderError, ReaderError, OSError, ValueError, LookupError, AttributeError) as error:
-        raise MotionError(f"{path}: cannot be read as a bag ({error})") from error
-    names = dict.fromkeys(topic.split("/")[1] for topic in tracks)
-    paths: dict[str, ArmPath] = {}
-    time_s: FloatArray | None = None
-    for name in names:
-        pose = _first(tracks, [f"/{name}/{at}{t}" for t in POSE_TOPICS for at in ("", "local/")])
-        jaw = _first(tracks, [f"/{name}/jaw/{t}" for t in JAW_TOPICS])
-        if pose is None or jaw is None:
-            raise MotionError(
-                f"{path}: {name} needs a PoseStamped topic ({', '.join(POSE_TOPICS)}) and a jaw's "
-                f"JointState ({', '.join(JAW_TOPICS)})"
-            )
-        stamps, numbers = np.array(pose[0], dtype=np.int64), np.array(pose[1])
-        near = _nearest(stamps, np.array(jaw[0], dtype=np.int64))
-        paths[name] = ArmPath(numbers[:, :3], numbers[:, 3:], np.array(jaw[1])[near, 0])
-        time_s = (stamps - stamps[0]) * 1e-9
-    return Written(time_s, paths, _bag_label(path))
-
-
-def _nearest(times: npt.NDArray[np.int64], among: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
-    """Index of the nearest of `among`, which rise, for each of `times`."""
-    after = np.searchsorted(among, times).clip(0, len(among) - 1)
-    before = (after - 1).clip(0)
-    return np.where(times - among[before] <= np.abs(among[after] - times), before, after)
-
-
-def _first(tracks: Mapping[str, Track], topics: Sequence[str]) -> Track | None:
-    return next((tracks[topic] for topic in topics if topic in tracks), None)
-
-
-def _numbers(message: Any) -> list[float]:
-    """Position and quaternion of a PoseStamped, or the one position of a jaw's JointState."""
-    if hasattr(message, "pose"):
-        p, q = message.pose.position, message.pose.orientation
-        return [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
-    return [float(message.position[0])]
-
-
-def _bag_label(path: Path) -> Label | None:
-    """What a bag's MCAP file says, where there is one and it does."""
-    files = [path] if path.suffix == ".mcap" else sorted(path.glob("*.mcap"))
-    for name in files:
-        file = RunFile(name)
-        for _ in file.chunks():
-            pass
-        return _label(file.metadata, path)
-    return None
+    return Written(time_s, paths, label_of(texts, path))
 
 
 def _write_bag(folder: Path, written: Written, label: Mapping[str, str]) -> None:
