@@ -143,6 +143,10 @@ def test_convert_shows_a_pose_in_every_frame(
     assert not shown["problem"]
     far = here(*told, "--", 2.5, 0.25, 1.0, cwd=tmp_path, monkeypatch=monkeypatch)
     assert json.loads(far.stdout)["problem"]
+    for place in (("nan", 0, 0), ("inf", 0, 0), (1e308, 0, 0)):
+        assert here(*told, "--", *place, cwd=tmp_path, monkeypatch=monkeypatch).returncode == 2
+    turned = (*told, "--rpy", "nan", 0, 0, "--", 1, 2, 3)
+    assert here(*turned, cwd=tmp_path, monkeypatch=monkeypatch).returncode == 2
     assert (
         here(
             *told, "--arm", "PSM3", "--", 1, 2, 3, cwd=tmp_path, monkeypatch=monkeypatch

@@ -25,6 +25,9 @@ EXAMPLE = (
     "--control-point jaw-pivot --rpy -90 0 90 -- 2.5 0.25 3.776"
 )
 
+LARGEST = 1e6
+"""No position or angle is larger; sums and products of such numbers stay finite."""
+
 
 def command(
     position: Annotated[
@@ -41,6 +44,8 @@ def command(
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Show a pose in SurRoL's world, the world, the RCM frame and as CRTK reports it."""
+    if not np.abs([*position, *rpy]).max() <= LARGEST:
+        raise typer.BadParameter("give a position and angles that are finite numbers")
     description = load_cell(cell)
     names = [entry.name for entry in description.arms]
     if arm not in names:

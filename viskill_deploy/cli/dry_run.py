@@ -179,6 +179,9 @@ def command(
     if scene is not None and distribution is not None:
         raise typer.BadParameter("--scene says where things are; leave --distribution out")
     _check(prepared, distribution, ik_solver)
+    joints = [f"{arm.name}/{joint.name}" for arm in prepared.cell.arms for joint in arm.arm.joints]
+    if stuck_joint and stuck_joint not in joints:
+        raise typer.BadParameter(f"--stuck-joint is one of {', '.join(joints)}")
     if transport is not None and not (driver is DriverChoice.CRTK and realtime):
         raise typer.BadParameter("--transport goes with --driver crtk --realtime")
     world = WorldOptions(

@@ -21,12 +21,14 @@ from viskill_deploy.core.calibration_files import (
     read_calibration,
 )
 from viskill_deploy.core.description import CellDescription, load_cell
-from viskill_deploy.core.errors import BundleError, CalibrationError
+from viskill_deploy.core.errors import BundleError, CalibrationError, DataFileError
 from viskill_deploy.core.scene_files import SeenScene, read_scene
 from viskill_deploy.runtime.checklist import Checklist, Found, Line
 from viskill_deploy.safety.calibration import calibration_margin, judge_calibration
 from viskill_deploy.safety.envelope import CellEnvelope
+from viskill_deploy.sim.scene import build_model
 from viskill_deploy.sim.tasks.base import Task, load_task
+from viskill_deploy.sim.things import Things
 
 DAY_S = 86400.0
 
@@ -233,6 +235,11 @@ def _limits(cell: CellDescription) -> Found[CellEnvelope]:
 
 def _scene(cell: CellDescription, path: Path) -> Found[SeenScene]:
     seen = read_scene(path, cell.name)
+    known = Things(build_model(cell)).names
+    for thing in seen.scene.objects:
+        if thing.name not in known:
+            reason = f"no object {thing.name!r} in {cell.name}; it has {', '.join(known) or 'none'}"
+            raise DataFileError(seen.path, "object", f"{reason}; correct its name")
     sigma = max(float(C.diagonal()[:3].max()) ** 0.5 for C in seen.covariance.values())
     many = len(seen.scene.objects)
     return Found(

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio
 
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.errors import CalibrationError, DataFileError, MotionError, ViskillError
+from viskill_deploy.core.errors import CalibrationError, MotionError
 from viskill_deploy.core.types import PSM_JOINTS, CellState, FloatArray, ObjectPose, Scene
 from viskill_deploy.drivers import loopback
 from viskill_deploy.drivers.base import ENABLED, Driver
@@ -114,11 +114,7 @@ def _put(driver: Driver, prepared: Prepared, seed: int) -> Found[Scene]:
         layout, where = prepared.task.sample_layout(rng, first), f"drawn ({first}, seed {seed})"
     else:
         layout, where = measured.scene, f"as in {measured.path.name}"
-    try:
-        driver.reset(layout)
-    except ViskillError as error:
-        source = prepared.cell.files[0] if measured is None else measured.path
-        raise DataFileError(source, "object", f"{error}; correct its name") from error
+    driver.reset(layout)
     driver.enable()
     driver.home()
     driver.clock.sleep_until(driver.clock.now() + driver.period_s)

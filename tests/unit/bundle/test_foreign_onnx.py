@@ -199,6 +199,9 @@ def test_files_that_are_no_policy_are_refused(tmp_path: Path) -> None:
     (tmp_path / "bad.onnx").write_bytes(b"cos\nsystem\n(S'true'\ntR.")
     refused("no usable ONNX", tmp_path / "bad.onnx")
     refused("no usable ONNX", tmp_path / "none.onnx")
+    for name in ("policy.json", "policy.textproto", "policy.onnxtxt"):
+        (tmp_path / name).write_text("{")
+        refused("no usable ONNX", tmp_path / name)
     model = onnx.load(policy(tmp_path / "p.onnx", np.zeros(10)))
     onnx.save(
         model, tmp_path / "external.onnx", save_as_external_data=True, size_threshold=0,

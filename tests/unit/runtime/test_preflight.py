@@ -115,7 +115,8 @@ def test_a_thing_that_the_cell_does_not_have_is_refused(tmp_path: Path) -> None:
     checklist, _ = preflight(Sources(BUNDLE, scene=path))
     assert checklist.error is not None
     assert checklist.error.exit_code == 3
-    assert "scene.toml: object: no object 'block9'" in named(checklist, "things").text
+    told = named(checklist, "scene file").text
+    assert "scene.toml: object: no object 'block9' in bipegtransfer; it has block0, block1" in told
 
 
 def looked(sources: Sources) -> tuple[Checklist, Prepared | None]:

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from viskill_deploy.cli.main import app
 from viskill_deploy.core.description import load_cell
+from viskill_deploy.core.errors import DataFileError
 from viskill_deploy.core.types import Scene
 from viskill_deploy.drivers.loopback_served import ServedLoopback
 from viskill_deploy.motion.links import CellLinks
@@ -65,6 +66,8 @@ def test_every_episode_draws_its_layout_where_nobody_says_where_things_are(mode:
     [
         (["policy.plan.json", "--scene", "scene.toml"], "go with a policy bundle"),
         ([str(BUNDLE), "--scene", "scene.toml", "--distribution", "wide"], "leave --distribution"),
+        ([str(BUNDLE), "--stuck-joint", "PSM1/foo"], "PSM1/pitch, PSM1/insertion, PSM1/roll"),
+        ([str(BUNDLE), "--stuck-joint", "PSM1/jaw"], "PSM2/yaw"),
     ],
 )
 def test_files_that_contradict_each_other_are_a_wrong_use(
@@ -75,7 +78,20 @@ def test_files_that_contradict_each_other_are_a_wrong_use(
     (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
     run = CliRunner().invoke(app, ["dry-run", *arguments])
     assert run.exit_code == 2
-    assert words in run.output
+    assert words in " ".join(run.output.replace("│", " ").split())
+
+
+def test_a_scene_with_a_thing_that_the_cell_lacks_is_refused_before_there_is_a_run(
+    tmp_path: Path,
+) -> None:
+    scene = tmp_path / "scene.toml"
+    scene.write_text(SCENE.replace("block1", "blok1"), encoding="utf-8")
+    folder = tmp_path / "run"
+    options = ["--scene", str(scene), "--output", str(folder)]
+    run = CliRunner().invoke(app, ["dry-run", str(BUNDLE), *options])
+    assert isinstance(run.exception, DataFileError)
+    assert "scene.toml: object: no object 'blok1'" in str(run.exception)
+    assert not folder.exists()
 
 
 def test_the_served_loopback_is_the_cell_of_the_file(tmp_path: Path) -> None:

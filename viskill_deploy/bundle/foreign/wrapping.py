@@ -192,7 +192,7 @@ def _read(path: Path) -> onnx.ModelProto:
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise BundleError(path, "is larger than a bundle's file may be; export it smaller")
-        model = onnx.load_model(path, load_external_data=False)
+        model = onnx.load_model(path, format="protobuf", load_external_data=False)
         onnx.checker.check_model(model)
     except (OSError, DecodeError, onnx.checker.ValidationError, ValueError) as error:
         if isinstance(error, BundleError):
