@@ -18,6 +18,7 @@ from viskill_deploy.motion.resolve import resolve, start_seeds
 from viskill_deploy.motion.trajectory import write_plan
 from viskill_deploy.motion.waypoints import start_waypoint
 from viskill_deploy.observe.trajectory_files import read_written
+from viskill_deploy.runtime.replay import PLAN_ENDING
 from viskill_deploy.runtime.trajectory import checked_waypoints, look_at, plan_waypoints
 from viskill_deploy.sim.tasks.base import load_task, task_names
 
@@ -57,10 +58,13 @@ def official(
         from viskill_deploy.bundle.official.layout import find_checkpoints  # noqa: PLC0415
     except ModuleNotFoundError as error:
         raise MissingExtraError("import", "viskill import official") from error
-    found = find_checkpoints(folder, task, skill_seed, chaining_seed)
+    scripted = subgoals is Subgoals.SCRIPTED
+    if scripted and chaining_seed is not None:
+        raise typer.BadParameter("--chaining-seed goes with --subgoals chaining")
+    found = find_checkpoints(folder, task, skill_seed, chaining_seed, scripted)
     ours = load_task(found.task)
     policy = read_official(found, ours)
-    load_bundle(write_bundle(policy, ours, output, subgoals is Subgoals.SCRIPTED))
+    load_bundle(write_bundle(policy, ours, output, scripted))
     for path in (*found.skills.values(), *filter(None, [found.chaining])):
         print(f"read:   {path}")
     print(f"bundle: {output}")
@@ -93,6 +97,8 @@ def trajectory(
     ] = None,
 ) -> None:
     """Turn Cartesian waypoints into a plan for `viskill dry-run`, after a look for usual traps."""
+    if not output.name.endswith(PLAN_ENDING):
+        raise typer.BadParameter(f"--output {output}: name a *{PLAN_ENDING}")
     description = load_cell(cell)
     names = [arm.name for arm in description.arms]
     written = read_written(file, names, frame.value if frame else None)

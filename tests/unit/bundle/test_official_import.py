@@ -12,6 +12,7 @@ import official_files as files
 import onnxruntime
 import pytest
 from chaining import resign
+from typer.testing import CliRunner
 
 from viskill_deploy.bundle.chain import SkillChain
 from viskill_deploy.bundle.format import Bundle, load_bundle
@@ -20,6 +21,7 @@ from viskill_deploy.bundle.official.convert import write_bundle
 from viskill_deploy.bundle.official.layout import find_checkpoints
 from viskill_deploy.bundle.subgoals import subgoal_source
 from viskill_deploy.cli import inspect
+from viskill_deploy.cli.main import app
 from viskill_deploy.core.errors import BundleError, MotionError
 from viskill_deploy.motion.waypoints import start_waypoint
 from viskill_deploy.sim.closed_loop import ClosedLoop
@@ -222,6 +224,22 @@ def test_skills_alone_become_a_bundle_with_scripted_subgoals(
     loaded = load_bundle(write_bundle(alone, TASK, tmp_path / "alone", scripted=True))
     assert loaded.manifest.subgoals == "scripted"
     assert loaded.chaining == loaded.values == {}
+
+
+def test_with_scripted_subgoals_chaining_checkpoints_are_not_opened(tmp_path: Path) -> None:
+    files.whole(tmp_path / "exp")
+    for seed in (1, 2):  # two to choose from, and none that could be read
+        path = files.chaining_path(tmp_path / "exp", seed=seed)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"broken")
+    command = ["import", "official", str(tmp_path / "exp"), "-o", str(tmp_path / "mine")]
+    ran = CliRunner().invoke(app, [*command, "--subgoals", "scripted"])
+    assert ran.exit_code == 0, ran.exception
+    assert "viskill/" not in ran.stdout
+    assert not load_bundle(tmp_path / "mine").chaining
+    assert "--chaining-seed" in str(CliRunner().invoke(app, command).exception)
+    contrary = [*command, "--subgoals", "scripted", "--chaining-seed", "1"]
+    assert CliRunner().invoke(app, contrary).exit_code == 2
 
 
 def test_a_folder_in_use_is_not_overwritten(policy: Official, tmp_path: Path) -> None:

@@ -207,6 +207,7 @@ def _check_same(path: Path, state: State, name: str, skill: SkillNetworks) -> No
     if not same:
         raise BundleError(
             path,
-            f"was trained over another {name!r} than {skill.path}; choose the skills' seed and "
-            "episode that it was trained with",
+            f"was trained over another {name!r} than {skill.path}; choose the skills' seed with "
+            "--skill-seed, put away episodes later than those that it was trained over, or leave "
+            "it out with --subgoals scripted",
         )

@@ -34,7 +34,7 @@ class Found:
     Attributes:
         task: our name of the task.
         skills: the latest checkpoint of every skill, by its name.
-        chaining: the latest chaining checkpoint; None where there is none.
+        chaining: the latest chaining checkpoint; None where there is none, or none is wanted.
     """
 
     task: str
@@ -47,6 +47,7 @@ def find_checkpoints(
     task: str | None = None,
     skill_seed: int | None = None,
     chaining_seed: int | None = None,
+    scripted: bool = False,
 ) -> Found:
     """The latest checkpoints of one task and one seed below a folder.
 
@@ -55,6 +56,7 @@ def find_checkpoints(
         task: official or our name of the task, for a folder with several.
         skill_seed: seed of the skills, for a folder with several.
         chaining_seed: seed of the chaining policy, likewise.
+        scripted: the skills alone are wanted; chaining checkpoints do not count.
 
     Raises:
         BundleError: nothing there, or more than one choice; names the choices.
@@ -88,8 +90,10 @@ def find_checkpoints(
             "in the skill_learning checkpoints alone: put those beside it",
         )
     chosen = _one(folder, skills, skill_seed, "--skill-seed")
-    last = _one(folder, chaining, chaining_seed, "--chaining-seed") if chaining else None
-    return Found(name, skills[chosen], chaining[last] if last else None)
+    if scripted or not chaining:
+        return Found(name, skills[chosen], None)
+    last = _one(folder, chaining, chaining_seed, "--chaining-seed")
+    return Found(name, skills[chosen], chaining[last])
 
 
 def _models(folder: Path) -> dict[Path, Path]:
