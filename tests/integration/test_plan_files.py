@@ -90,3 +90,17 @@ def test_a_plan_file_without_its_cells_digest_has_to_be_imported_again() -> None
     plan.write_text(plan.read_text(encoding="utf-8").replace('"schema": 2', '"schema": 1'))
     old = run("export", "trajectory", "a.plan.json", "a.csv")
     assert "lacks the digest of its cell; import it again" in old.error
+
+
+def test_a_recording_is_not_written_over() -> None:
+    write("mine.csv", moved(3, 0.003), CRTK)
+    kept = Path("mine.csv").read_bytes()
+    command = ("import", "trajectory", "mine.csv", "--cell", CELL.name, "-o")
+    other = run(*command, "mine.csv")
+    assert not other.ok
+    assert ".plan.json" in other.out
+    assert run(*command, "plans/mine.plan.json").ok
+    assert "exists" in run(*command, "plans/mine.plan.json").error
+    assert "exists" in run("export", "trajectory", "plans/mine.plan.json", "mine.csv").error
+    assert Path("mine.csv").read_bytes() == kept
+    assert run("export", "trajectory", "plans/mine.plan.json", "joints/mine.csv").ok

@@ -22,7 +22,7 @@ from viskill_deploy.observe.trajectory_files import JointNames, write_joint_plan
 from viskill_deploy.runtime.trajectory import open_plan, plan_waypoints
 
 EXAMPLE = "Example: viskill export runs/viskill runs/mine"
-TRAJECTORY_EXAMPLE = "Example: viskill export trajectory mine.plan.json mine.csv --rate 200"
+TRAJECTORY_EXAMPLE = "Example: viskill export trajectory mine.plan.json joints.csv --rate 200"
 
 CAN_EXAMPLE = "Example: viskill export can bipegtransfer can-files"
 

@@ -16,6 +16,7 @@ from pydantic import Field
 from viskill_deploy.core import data
 from viskill_deploy.core.description import CellDescription
 from viskill_deploy.core.errors import DataFileError, MotionError
+from viskill_deploy.core.new_files import new_file
 from viskill_deploy.core.robot_files import Positive, Table, Vector3, validated
 from viskill_deploy.core.types import FloatArray, Waypoint
 from viskill_deploy.motion.frames import Label, from_task, to_task
@@ -90,8 +91,8 @@ def waypoints_of(
         source: the file's name, for messages.
 
     Raises:
-        MotionError: another number of arms or rows, numbers that are not finite, no rotations,
-            steps that are no time or not alike.
+        MotionError: another number of arms, rows or times, numbers that are not finite, no
+            rotations, steps that are no time or not alike.
     """
     names = [arm.name for arm in cell.arms]
     if sorted(written.arms) != sorted(names):
@@ -99,9 +100,14 @@ def waypoints_of(
             f"{source} holds {', '.join(written.arms) or 'no arm'}; {cell.name} needs "
             f"{', '.join(names)}: name the columns or topics so"
         )
-    count = len(next(iter(written.arms.values())).jaw)
+    count = np.size(next(iter(written.arms.values())).jaw)
     if not 0 < count <= MAX_WAYPOINTS:
         raise MotionError(f"{source} holds {count} waypoints; 1 to {MAX_WAYPOINTS} can be used")
+    if written.time_s is not None and written.time_s.shape != (count,):
+        raise MotionError(
+            f"{source}: its times have the shape {written.time_s.shape} for {count} waypoints; "
+            "give one each, or none"
+        )
     poses, jaws = [], []
     for index, name in enumerate(names):
         path = written.arms[name]
@@ -219,7 +225,11 @@ def cell_sha256(cell: CellDescription) -> str:
 def write_plan(
     path: Path, cell: CellDescription, waypoints: Sequence[Waypoint], source: str
 ) -> None:
-    """Writes a plan file."""
+    """Writes a plan file.
+
+    Raises:
+        RecordingError: the file exists.
+    """
     written = written_of(cell, waypoints, Label("task", "jaw-pivot"))
     paths = [written.arms[arm.name] for arm in cell.arms]
     rows = [
@@ -241,7 +251,7 @@ def write_plan(
     }
     lines = ",\n".join(json.dumps(row, allow_nan=False) for row in rows)
     text = json.dumps(head, allow_nan=False)[:-1] + ', "waypoints": [\n' + lines + "\n]}\n"
-    path.write_text(text, encoding="utf-8")
+    new_file(path).write_text(text, encoding="utf-8")
 
 
 def read_plan(path: Path) -> PlanFile:

@@ -18,6 +18,7 @@ import numpy as np
 
 from viskill_deploy.core.description import rpy_matrix
 from viskill_deploy.core.errors import MotionError, RecordingError
+from viskill_deploy.core.new_files import new_file
 from viskill_deploy.core.types import FloatArray
 from viskill_deploy.motion.frames import Frame
 from viskill_deploy.motion.trajectory import ArmPath, Written, quaternions
@@ -64,17 +65,17 @@ def write_written(path: Path, written: Written) -> None:
 
     Raises:
         MotionError: another ending.
-        RecordingError: the bag's folder exists.
+        RecordingError: the file, or the bag's folder, exists.
     """
     label = label_texts(written.label)
     if path.suffix == ".csv":
-        path.write_text(_csv_text(written, label), encoding="utf-8")
+        new_file(path).write_text(_csv_text(written, label), encoding="utf-8")
     elif path.suffix == ".npz":
         arrays: dict[str, Any] = {} if written.time_s is None else {"time_s": written.time_s}
         for name, arm in written.arms.items():
             arrays |= {f"{name}/position": arm.position, f"{name}/quaternion": arm.quaternion}
             arrays[f"{name}/jaw"] = arm.jaw
-        np.savez(path, **(arrays | label))
+        np.savez(new_file(path), **(arrays | label))
     elif path.suffix == "":
         _write_bag(path, written, label)
     else:
@@ -103,7 +104,7 @@ def _read_csv(path: Path) -> Written:
     except (OSError, UnicodeDecodeError) as error:
         raise MotionError(f"{path}: cannot be read as text ({error})") from error
     said = [line[1:].partition(":") for line in lines if line.startswith("#")]
-    texts = {key.strip(): value.strip() for key, _, value in said}
+    texts = {key.strip().lower(): value.strip() for key, _, value in said}
     numbered = [(i, line) for i, line in enumerate(lines, 1) if line and not line.startswith("#")]
     if len(numbered) < 2:
         raise MotionError(f"{path}: has no rows; the first line names the columns")
@@ -155,19 +156,24 @@ def _read_npz(path: Path) -> Written:
                 raise MotionError(f"{path}: is too large for a trajectory; cut it down")
         with np.load(path, allow_pickle=False) as content:
             arrays = {name: content[name] for name in content.files}
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
+    except Exception as error:  # of any kind, on damaged files: numpy parses, zlib unpacks
         raise MotionError(f"{path}: is no npz file of plain arrays ({error})") from error
     texts = {key: str(arrays.pop(key)) for key in LABEL_KEYS if key in arrays}
-    time_s = arrays.pop("time_s", None)
+    time_s = _numbers(path, "time_s", arrays.pop("time_s")) if "time_s" in arrays else None
     paths = {}
     for arm in dict.fromkeys(name.rpartition("/")[0] for name in arrays):
         parts = []
         for part in ("position", "quaternion", "jaw"):
-            if (values := arrays.get(f"{arm}/{part}")) is None or values.dtype.kind not in "fiu":
-                raise MotionError(f"{path}: lacks the numbers {arm}/{part}")
-            parts.append(np.asarray(values, dtype=np.float64))
+            parts.append(_numbers(path, f"{arm}/{part}", arrays.get(f"{arm}/{part}")))
         paths[arm] = ArmPath(*parts)
     return Written(time_s, paths, label_of(texts, path))
+
+
+def _numbers(path: Path, name: str, values: object) -> FloatArray:
+    """An array of a file, if it holds numbers."""
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
+        raise MotionError(f"{path}: lacks the numbers {name}")
+    return np.asarray(values, dtype=np.float64)
 
 
 def _write_bag(folder: Path, written: Written, label: Mapping[str, str]) -> None:
@@ -245,7 +251,7 @@ def write_joint_plan(
 
     Raises:
         MotionError: another ending.
-        RecordingError: the bag's folder exists.
+        RecordingError: the file, or the bag's folder, exists.
     """
     time_s: FloatArray = period_s * np.arange(1, len(table) + 1, dtype=np.float64)
     if path.suffix == ".csv":
@@ -257,14 +263,14 @@ def write_joint_plan(
         writer.writerow(["time_s", *names])
         rows = np.column_stack([time_s, table.reshape(len(table), -1)])
         writer.writerows([repr(x) for x in row] for row in rows.tolist())
-        path.write_text(out.getvalue(), encoding="utf-8")
+        new_file(path).write_text(out.getvalue(), encoding="utf-8")
     elif path.suffix == ".npz":
         arrays: dict[str, Any] = {"time_s": time_s}
         for index, arm in enumerate(arms):
             arrays |= {f"{arm.name}/axes": np.array(arm.axes)}
             arrays[f"{arm.name}/position"] = table[:, index, 0]
             arrays[f"{arm.name}/velocity"] = table[:, index, 1]
-        np.savez(path, **arrays)
+        np.savez(new_file(path), **arrays)
     elif path.suffix == "":
         joints = {}
         for index, arm in enumerate(arms):

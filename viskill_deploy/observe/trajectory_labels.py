@@ -29,9 +29,14 @@ def label_of(texts: Mapping[str, str], path: Path) -> Label | None:
     Raises:
         MotionError: it says what is unknown, or only a part.
     """
-    if not {"frame", "control_point"} & texts.keys():
+    said = [key for key in LABEL_KEYS if key in texts]
+    if not said:
         return None
-    frame, point = texts.get("frame"), texts.get("control_point")
+    if not {"frame", "control_point"} <= texts.keys():
+        raise MotionError(
+            f"{path}: says {' and '.join(said)} alone; let it say frame and control_point, too"
+        )
+    frame, point = texts["frame"], texts["control_point"]
     if frame not in FRAMES or point not in CONTROL_POINTS:
         raise MotionError(
             f"{path}: says frame {frame!r} and control point {point!r}; known are "

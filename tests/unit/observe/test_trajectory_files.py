@@ -1,6 +1,5 @@
 """Trajectories come back from every file and frame as they were; mistakes in them are named."""
 
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -156,8 +155,10 @@ GOOD = f"{HEADER}\n0.0,{ROW}\n0.2,{ROW}\n"
         (GOOD.replace("PSM2.qw", "PSM2.q4"), r"PSM2\.qw"),
         (GOOD.replace("PSM2.qw", "PSM1.qw"), "twice"),
         (GOOD.replace("PSM1.", "PSM1,").replace("PSM2.", "PSM2."), "twice|lacks"),
-        ("# frame: moon\n" + GOOD, "moon"),
-        ("# frame: task\n" + GOOD, "control point None"),
+        ("# frame: moon\n# control_point: jaw-pivot\n" + GOOD, "moon"),
+        ("# frame: task\n" + GOOD, "says frame alone"),
+        ("# length_scale: 5\n" + GOOD, "says length_scale alone"),
+        ("# Control_Point: jaw-end\n" + GOOD, "says control_point alone"),
         ("# frame: task\n# control_point: jaw-pivot\n# length_scale: 0\n" + GOOD, "length_scale"),
         ("# frame: task\n# control_point: jaw-pivot\n# length_scale: big\n" + GOOD, "big"),
     ],
@@ -206,30 +207,23 @@ def test_angles_may_stand_in_place_of_quaternions_and_times_may_be_left_out(tmp_
     assert slow.step_s == 0.5
 
 
-def test_an_npz_with_objects_or_without_numbers_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("ending", [".csv", ".npz"])
+def test_no_file_is_written_over_and_its_folder_is_made(
+    tmp_path: Path, waypoints: list[Waypoint], ending: str
 ) -> None:
-    path = tmp_path / "bad.npz"
-    np.savez(path, **{"PSM1/position": np.array([object()], dtype=object)})
-    with pytest.raises(MotionError, match="plain arrays"):
-        read_written(path)
-    np.savez(path, **{"PSM1/position": np.zeros((1, 3))})
-    with pytest.raises(MotionError, match="PSM1/quaternion"):
-        read_written(path)
-    path.write_bytes(b"no zip")
-    with pytest.raises(MotionError, match="npz"):
-        read_written(path)
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as bomb:
-        bomb.writestr("a.npy", bytes(10**6))
-    monkeypatch.setattr("viskill_deploy.observe.trajectory_files.MAX_BYTES", 10**5)
-    with pytest.raises(MotionError, match="too large"):
-        read_written(path)
-    monkeypatch.undo()
-    shapes = {"position": (2, 3), "quaternion": (2, 3), "jaw": (2,)}
-    wrong = {f"{a}/{k}": np.ones(s) for a in ("PSM1", "PSM2") for k, s in shapes.items()}
-    np.savez(path, **wrong)
-    with pytest.raises(MotionError, match="for 2 waypoints"):
-        waypoints_of(CELL, read_written(path), Label("task", "jaw-pivot"), None, "bad.npz")
+    path, label = tmp_path / "new" / f"mine{ending}", Label("task", "jaw-pivot")
+    write_written(path, written_of(CELL, waypoints[:2], label))
+    kept = path.read_bytes()
+    names = [JointNames(arm.name, ("a", "b", "c", "d", "e", "f", "jaw")) for arm in CELL.arms]
+    with pytest.raises(RecordingError, match="exists; name a new file"):
+        write_written(path, written_of(CELL, waypoints[:3], label))
+    with pytest.raises(RecordingError, match="exists; name a new file"):
+        write_joint_plan(path, 0.01, np.zeros((3, 2, 2, 7)), names)
+    assert path.read_bytes() == kept
+    plan = tmp_path / "plans" / "mine.plan.json"
+    write_plan(plan, CELL, waypoints[:2], "test")
+    with pytest.raises(RecordingError, match="exists; name a new file"):
+        write_plan(plan, CELL, waypoints[:2], "test")
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
