@@ -20,7 +20,7 @@ from viskill_deploy.observe.faults import struck_rows
 from viskill_deploy.observe.labels import action_label, rule_label, with_labels
 from viskill_deploy.observe.reading import read_recording
 from viskill_deploy.observe.records import RunData
-from viskill_deploy.observe.starts import Result, start_rows
+from viskill_deploy.observe.starts import Result, start_rows, value_words
 from viskill_deploy.observe.summary import facts, margin_rows, outcome, skill_rows
 from viskill_deploy.observe.video import Video
 
@@ -71,6 +71,7 @@ def write_report(
         skills=skill_rows(result),
         faults=struck_rows(result),
         starts=start_rows(result, shown),
+        value_words=value_words(result),
         boundaries=boundary_rows(result, shown),
         shown=shown,
         margins=margin_rows(result),

@@ -18,13 +18,21 @@ def is_low(value: float | None, threshold: float | None) -> bool:
     return value is not None and threshold is not None and value < threshold
 
 
+def value_words(result: Result) -> str:
+    """What the values at the starts of skills are: a likelihood, or the raw return of a critic."""
+    if result.get("value_meaning") == "return":
+        return "the chaining policy's action value, which is no probability"
+    return "how likely success looked"
+
+
 @dataclass(frozen=True, slots=True)
 class StartRow:
     """What was decided at the first step of one skill of one episode, for people.
 
     Attributes:
         parts: name and text of every stretch of the subgoal.
-        value: P(the whole task succeeds) as seen then; None where nothing told it.
+        value: P(the whole task succeeds) as seen then, or a return where the bundle says so; None
+            where nothing told it.
         low: whether it is below the bundle's threshold.
     """
 

@@ -93,6 +93,7 @@ class Prepared:
             "subgoals": manifest.subgoals,
             "subgoal_layout": [{"name": part.name, "size": part.size} for part in manifest.goal],
             "value_threshold": manifest.value.threshold if manifest.value else None,
+            "value_meaning": manifest.value.meaning if manifest.value else None,
         }
 
 

@@ -50,6 +50,7 @@ class PreparedTrajectory:
             "subgoals": "trajectory",
             "subgoal_layout": [],
             "value_threshold": None,
+            "value_meaning": None,
         }
 
 

@@ -24,6 +24,7 @@ from viskill_deploy.cli import inspect
 from viskill_deploy.cli.main import app
 from viskill_deploy.core.errors import BundleError, MotionError
 from viskill_deploy.motion.waypoints import start_waypoint
+from viskill_deploy.runtime.preflight import prepare
 from viskill_deploy.sim.closed_loop import ClosedLoop
 from viskill_deploy.sim.tasks.base import load_task
 
@@ -303,6 +304,11 @@ def test_inspect_tells_of_the_adapter_and_of_the_value(still: Bundle, capsys: An
     assert "lengths x 5, task frame at (0.55, 0, 0.6971) m of the world" in told
     assert "no probability" in told
     assert "it fits the cell bipegtransfer" in told
+
+
+def test_a_run_tells_that_its_values_are_returns(still: Bundle) -> None:
+    told = prepare(still.path).about()
+    assert (told["value_meaning"], told["value_threshold"]) == ("return", None)
 
 
 def test_inspect_shows_texts_of_a_bundle_as_they_are(
