@@ -160,4 +160,7 @@ def onnx(
         known = ", ".join(task_names())
         raise description.fault("task", f"{description.file.task!r} is unknown; choose of {known}")
     load_bundle(write_foreign(policy, description, load_task(description.file.task), output))
+    if description.pivots:
+        names = ", ".join(description.pivots)
+        print(f"note: {names}: about the jaw pivot, as the task has it, not the jaw end")
     print(f"bundle: {output}")

@@ -220,11 +220,18 @@ def test_files_that_are_no_policy_are_refused(tmp_path: Path) -> None:
         made(tmp_path, GOOD, tmp_path / "p.onnx")
 
 
-def test_the_command_writes_a_bundle_or_names_the_task_that_is_unknown(tmp_path: Path) -> None:
+def test_the_command_writes_a_bundle_and_tells_of_pivots_or_names_the_task_that_is_unknown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file, describe = policy(tmp_path / "p.onnx", np.zeros(10)), tmp_path / "p.toml"
     describe.write_text(GOOD)
     bring.onnx(file, describe, tmp_path / "out")
     assert load_bundle(tmp_path / "out").manifest.name == "out"
+    note = "note: subgoal.second_position: about the jaw pivot, as the task has it, not the jaw end"
+    assert note in capsys.readouterr().out
+    describe.write_text(GOOD.replace('"jaw-end"', '"jaw-pivot"'))
+    bring.onnx(file, describe, tmp_path / "pivots")
+    assert "note" not in capsys.readouterr().out
     describe.write_text(GOOD.replace('"bipegtransfer"', '"suturing"'))
     with pytest.raises(DataFileError, match="line 2, task: 'suturing' is unknown"):
         bring.onnx(file, describe, tmp_path / "other")

@@ -19,6 +19,9 @@ Frame = Literal["task", "world", "surrol"]
 SUBGOAL = "subgoal."
 """What comes before the name of a stretch of the subgoal."""
 
+TARGETS = (SUBGOAL, "grasp")
+"""How names of the places begin where the task wants a tip; they are jaw pivots, or a thing's."""
+
 
 class Observation(Table):
     """What the policy sees: its input's name, and stretches of the task's vectors in order."""
@@ -132,6 +135,12 @@ class Description:
         """Numbers that the policy sees."""
         sizes = dict(_stretches(task))
         return sum(sizes[name] for name in self.file.observation.layout)
+
+    @property
+    def pivots(self) -> tuple[str, ...]:
+        """Targets that a policy about jaw ends sees; the task has them about jaw pivots."""
+        seen = self.file.observation.layout if self.file.control_point == "jaw-end" else ()
+        return tuple(n for n in seen if n.startswith(TARGETS) and n.endswith("_position"))
 
     @property
     def per_arm(self) -> int:
