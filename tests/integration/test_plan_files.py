@@ -1,5 +1,6 @@
 """Plan files from import to export and dry run: what they hold on to, and what they refuse."""
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,9 +10,11 @@ from typer.testing import CliRunner
 
 from viskill_deploy.cli.main import app
 from viskill_deploy.core.description import CellDescription, load_cell
+from viskill_deploy.core.errors import MotionError
 from viskill_deploy.core.types import Waypoint
 from viskill_deploy.motion.frames import Label
-from viskill_deploy.motion.trajectory import written_of
+from viskill_deploy.motion.resolve import densified
+from viskill_deploy.motion.trajectory import write_plan, written_of
 from viskill_deploy.motion.waypoints import start_waypoint
 from viskill_deploy.observe.trajectory_files import write_written
 
@@ -104,3 +107,25 @@ def test_a_recording_is_not_written_over() -> None:
     assert "exists" in run("export", "trajectory", "plans/mine.plan.json", "mine.csv").error
     assert Path("mine.csv").read_bytes() == kept
     assert run("export", "trajectory", "plans/mine.plan.json", "joints/mine.csv").ok
+
+
+@pytest.mark.parametrize("place", [1e300, 1e7, -0.1])
+def test_a_plan_that_leads_out_of_the_workspace_is_neither_followed_nor_exported(
+    place: float,
+) -> None:
+    write_plan(Path("a.plan.json"), CELL, moved(3, 0.003), "a test")
+    plan = json.loads(Path("a.plan.json").read_text(encoding="utf-8"))
+    plan["waypoints"][1]["position_m"][0][2] = place
+    Path("a.plan.json").write_text(json.dumps(plan), encoding="utf-8")
+    commands = [("dry-run", "a.plan.json"), ("export", "trajectory", "a.plan.json", "a.csv")]
+    for command in [*commands, (*commands[1], "--waypoints")]:
+        told = run(*command)
+        assert not told.ok
+        assert "outside the workspace of its arm" in told.error
+    assert not Path("a.csv").exists()
+
+
+@pytest.mark.parametrize("far_m", [1e4, 1e150])
+def test_a_path_without_end_is_not_filled_with_waypoints(far_m: float) -> None:
+    with pytest.raises(MotionError, match="too long"):
+        densified(moved(2, far_m))

@@ -18,6 +18,9 @@ from viskill_deploy.kinematics.straight import placed_arm
 CHORD_M, CHORD_RAD = 0.009, 0.55
 """Waypoints farther apart than this get others between them, so that the tip follows the chord."""
 
+MAX_DENSE = 200_000
+"""A path of more waypoints than this, with those added, is a mistake in units."""
+
 
 def task_poses(cell: CellDescription, arm: int, q: FloatArray) -> FloatArray:
     """T_task_tip of one arm for joint positions (n, joints), as (n, 4, 4)."""
@@ -123,12 +126,20 @@ def densified(waypoints: Sequence[Waypoint]) -> list[Waypoint]:
 
     Positions are interpolated along the chord, orientations along the shortest rotation; each added
     step is meant to take `step_s` like any other. The jaw moves in the last part of its step.
+
+    Raises:
+        MotionError: the path is so long that it would need more than `MAX_DENSE`.
     """
     dense = list(waypoints[:1])
     for goal in waypoints[1:]:
         last = dense[-1]
         pairs = list(zip(last.T_task_tip, goal.T_task_tip, strict=True))
         parts = max(1, *(_parts(a, b) for a, b in pairs))
+        if len(dense) + parts > MAX_DENSE:
+            raise MotionError(
+                f"the path is too long: it needs a waypoint every {1e3 * CHORD_M:.0f} mm, and more "
+                f"than {MAX_DENSE} in all; check the units"
+            )
         for part in range(1, parts + 1):
             dense.append(
                 Waypoint(
@@ -146,7 +157,8 @@ def densified(waypoints: Sequence[Waypoint]) -> list[Waypoint]:
 def _parts(a: FloatArray, b: FloatArray) -> int:
     distance = float(np.linalg.norm(b[:3, 3] - a[:3, 3]))
     angle = float(np.linalg.norm(pinocchio.log3(a[:3, :3].T @ b[:3, :3])))
-    return int(np.ceil(max(distance / CHORD_M, angle / CHORD_RAD) - 1e-9))
+    parts = max(distance / CHORD_M, angle / CHORD_RAD)  # may be infinite
+    return int(min(np.ceil(parts - 1e-9), MAX_DENSE))
 
 
 def between(a: FloatArray, b: FloatArray, share: float) -> FloatArray:

@@ -63,6 +63,7 @@ def prepare_trajectory(path: Path, cell_name: str = "") -> PreparedTrajectory:
 
     Raises:
         DataFileError: the plan, or a file of the cell, is wrong; or it is another cell.
+        MotionError: a waypoint lies outside the workspace of its arm.
     """
     cell, waypoints = open_plan(path, cell_name)
     task = load_task(cell.name, cell) if cell.name in task_names() else None

@@ -41,6 +41,7 @@ def open_plan(path: Path, cell_name: str = "") -> tuple[CellDescription, list[Wa
 
     Raises:
         DataFileError: the plan, or a file of the cell, is wrong; or it is another cell.
+        MotionError: a waypoint lies outside the workspace of its arm.
     """
     plan = read_plan(path)
     try:
@@ -60,7 +61,14 @@ def open_plan(path: Path, cell_name: str = "") -> tuple[CellDescription, list[Wa
     names = tuple(arm.name for arm in cell.arms)
     if plan.arms != names:
         raise DataFileError(path, "arms", f"is {plan.arms}, {cell.name} has {names}; import again")
-    return cell, plan.unpacked()
+    waypoints = plan.unpacked()
+    look = look_at(cell, waypoints)
+    if not look.is_inside:
+        raise MotionError(
+            f"{path}: a waypoint lies {1e3 * look.outside_m:.4g} mm outside the workspace of its "
+            f"arm in {cell.name}; correct the trajectory and import it again"
+        )
+    return cell, waypoints
 
 
 def plan_waypoints(
