@@ -52,7 +52,8 @@ def test_official_checkpoints_go_through_the_whole_line_to_a_report(
         monkeypatch=monkeypatch,
     )
     assert made.returncode == 0, made.stderr
-    assert "weights_ep20.pth" in made.stdout
+    assert made.stdout.count("weights_ep10.pth") == 3, "the skills, and no chaining policy"
+    assert "weights_ep20.pth" not in made.stdout
     run = viskill("dry-run", "mine", "--no-video", "--json", "--output", "run", cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     result = json.loads(run.stdout)
