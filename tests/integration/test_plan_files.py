@@ -1,6 +1,8 @@
 """Plan files from import to export and dry run: what they hold on to, and what they refuse."""
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,10 +15,11 @@ from viskill_deploy.core.description import CellDescription, load_cell
 from viskill_deploy.core.errors import MotionError
 from viskill_deploy.core.types import Waypoint
 from viskill_deploy.motion.frames import Label
-from viskill_deploy.motion.resolve import densified
+from viskill_deploy.motion.resolve import densified, resolve, start_seeds
 from viskill_deploy.motion.trajectory import write_plan, written_of
 from viskill_deploy.motion.waypoints import start_waypoint
 from viskill_deploy.observe.trajectory_files import write_written
+from viskill_deploy.runtime.trajectory import plan_waypoints
 
 ROOT = Path(__file__).resolve().parents[2]
 CELL = load_cell("bipegtransfer")
@@ -129,3 +132,38 @@ def test_a_plan_that_leads_out_of_the_workspace_is_neither_followed_nor_exported
 def test_a_path_without_end_is_not_filled_with_waypoints(far_m: float) -> None:
     with pytest.raises(MotionError, match="too long"):
         densified(moved(2, far_m))
+
+
+def test_an_import_tells_how_much_longer_than_its_file_the_plan_takes() -> None:
+    write("rows.csv", moved(5, 0.02), CRTK)
+    told = run("import", "trajectory", "rows.csv", "-o", "a.plan.json", "--cell", CELL.name)
+    assert told.ok
+    assert "8 waypoints were added" in told.out
+    found = re.search(r"takes ([\d.]+) s from .*, ([\d.]+) x the 0.80 s", told.out)
+    assert found
+    assert float(found[2]) == pytest.approx(float(found[1]) / 0.8, abs=0.02)
+    assert float(found[2]) > 3.0
+
+
+def test_a_waypoint_out_of_reach_is_named_as_its_file_counts_it() -> None:
+    rows = moved(5, 0.02)
+    turned = [np.array(T) for T in rows[-1].T_task_tip]
+    turned[0][:3, :3] = turned[0][:3, :3] @ np.diag([1.0, -1.0, -1.0])  # points upwards
+    write("rows.csv", [*rows[:-1], replace(rows[-1], T_task_tip=tuple(turned))], CRTK)
+    told = run("import", "trajectory", "rows.csv", "-o", "a.plan.json", "--cell", CELL.name)
+    assert re.search(r"rows.csv: waypoint 5 of 5 is out of PSM1's reach", told.error)
+
+
+def test_a_step_that_cannot_be_made_is_said_to_be_counted_with_the_waypoints_added() -> None:
+    rows = moved(2, 0.02)
+    rows[1] = replace(rows[1], jaw=(3.0, 0.0))
+    home = resolve(CELL, [start_waypoint(CELL)], start_seeds(CELL))[1]
+    with pytest.raises(MotionError, match="rows, counted with the 2 waypoints that were added: st"):
+        plan_waypoints(CELL, rows, home, source="rows")
+
+
+def test_a_waypoint_out_of_the_reach_of_an_own_arm_is_named_as_its_file_counts_it() -> None:
+    body = load_cell("bodytrainer")
+    home = resolve(body, [start_waypoint(body)], start_seeds(body))[1]
+    with pytest.raises(MotionError, match="rows: ARM1, waypoint 2 of 2: "):
+        plan_waypoints(body, moved(2, 0.5, body), home, source="rows")

@@ -173,7 +173,7 @@ def test_a_roll_that_would_have_to_unwind_is_refused_with_its_waypoint() -> None
         action = np.array([0.0, 0.0, 0.0, 1.0, 1.0] * 2)
         waypoint = apply_action(waypoint, action, waypoint.T_task_tip, CELL, ActionSpec())
         waypoints.append(waypoint)
-    with pytest.raises(MotionError, match=r"roll reaches its limit at waypoint \d+"):
+    with pytest.raises(MotionError, match=r"roll reaches its limit before waypoint \d+"):
         resolve(CELL, waypoints, joint_start())
 
 

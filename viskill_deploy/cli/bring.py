@@ -105,14 +105,20 @@ def trajectory(
     label = _declared(written.label, frame, control_point, length_scale, file)
     waypoints = checked_waypoints(description, written, label, step, str(file))
     held = resolve(description, [start_waypoint(description)], start_seeds(description))
-    plan = plan_waypoints(description, waypoints, held[1])
+    plan = plan_waypoints(description, waypoints, held[1], source=str(file))
     write_plan(output, description, waypoints, f"{file.name}, {label}")
     look = look_at(description, waypoints)
     for note in written.notes:
         print(note)
-    print(f"{len(waypoints)} waypoints read as {label}, {waypoints[0].step_s:.4g} s a step")
+    step_s, took_s = waypoints[0].step_s, plan.motion.duration_s
+    own_s, added = step_s * (len(waypoints) - 1), len(plan.waypoints) - 1 - len(waypoints)
+    print(f"{len(waypoints)} waypoints read as {label}, {step_s:.4g} s a step")
+    print(f"{added} waypoints were added, so that no step is too long")
     print(f"starts {1e3 * look.start_m:.1f} mm from where the arms start")
-    print(f"takes {plan.motion.duration_s:.2f} s, {plan.motion.stretch:.2f} x the steps' own time")
+    times = (
+        f", {took_s / own_s:.2f} x the {own_s:.2f} s that the file's steps take" if own_s else ""
+    )
+    print(f"takes {took_s:.2f} s from where the arms start{times}")
     print(f"plan: {output}")
 
 

@@ -104,7 +104,7 @@ def trajectory(
         print(f"{len(points)} waypoints, {label}: {output}")
         return
     home = resolve(cell, [start_waypoint(cell)], start_seeds(cell))[1]
-    motion = plan_waypoints(cell, points, home, speed).motion
+    motion = plan_waypoints(cell, points, home, speed, str(plan)).motion
     table: FloatArray = np.ascontiguousarray(motion.table(1.0 / rate)[:, :, :2])
     arms = [
         JointNames(arm.name, (*(joint.name for joint in arm.arm.joints), "jaw"))

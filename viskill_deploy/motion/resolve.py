@@ -52,7 +52,10 @@ def waypoint_at(cell: CellDescription, axes: Sequence[Sequence[float]] | FloatAr
 
 
 def resolve(
-    cell: CellDescription, waypoints: Sequence[Waypoint], start: Sequence[Sequence[float]]
+    cell: CellDescription,
+    waypoints: Sequence[Waypoint],
+    start: Sequence[Sequence[float]],
+    names: Sequence[str] = (),
 ) -> FloatArray:
     """Axis positions at the start and at every waypoint, (1 + n, arms, axes).
 
@@ -60,33 +63,35 @@ def resolve(
         cell: the arms in their places.
         waypoints: where the tips shall be.
         start: present axis positions, (axes,) an arm; roll turns follow on from them.
+        names: what people call the waypoints; "waypoint 1" and so on when empty.
 
     Raises:
         MotionError: a waypoint is out of an arm's reach, or the roll would have to unwind; names
             arm and waypoint.
     """
+    names = names or [f"waypoint {i + 1}" for i in range(len(waypoints))]
     q = np.empty((1 + len(waypoints), len(cell.arms), cell.arms[0].arm.axes))
     q[0] = start
     for index, arm in enumerate(cell.arms):
         poses = np.array([w.T_task_tip[index] for w in waypoints])
         q[1:, index, -1] = [w.jaw[index] for w in waypoints]
         if not arm.arm.has_remote_centre:
-            q[1:, index, :-1] = _one_by_one(cell, index, poses, q[0, index, :-1])
+            q[1:, index, :-1] = _one_by_one(cell, index, poses, q[0, index, :-1], names)
             continue
         seeds = np.broadcast_to(q[0, index, :6], (len(waypoints), 6))
         solved, reached = inverse_batch(arm.arm, base_poses(cell, index, poses), seeds)
         if not reached.all():
             where = int(np.flatnonzero(~reached)[0])
             raise MotionError(
-                f"waypoint {where} is out of {arm.name}'s reach; check the task frame and units"
+                f"{names[where]} is out of {arm.name}'s reach; check the task frame and units"
             )
         q[1:, index, :6] = solved
         q[:, index, 3] = _unwrapped(q[:, index, 3], arm.arm.limit(0)[3], arm.arm.limit(1)[3])
         turned = np.flatnonzero(np.abs(np.diff(q[:, index, 3])) > np.pi)
         if len(turned):
             raise MotionError(
-                f"{arm.name}'s roll reaches its limit at waypoint {int(turned[0])} and would have "
-                "to turn back a whole turn; start with the roll a turn away, or rotate the path"
+                f"{arm.name}'s roll reaches its limit before {names[turned[0]]} and would have to "
+                "turn back a whole turn; start with the roll a turn away, or rotate the path"
             )
         if arm.cables != STIFF:
             q[:, index, :6] = arm.cables.along(q[:, index, :6])
@@ -94,14 +99,20 @@ def resolve(
 
 
 def _one_by_one(
-    cell: CellDescription, index: int, poses: FloatArray, start: FloatArray
+    cell: CellDescription,
+    index: int,
+    poses: FloatArray,
+    start: FloatArray,
+    names: Sequence[str],
 ) -> FloatArray:
     """Joints of an arm without a closed form along a path, each pose from the one before."""
-    arm = cell.arms[index]
-    try:
-        return placed_arm(arm).resolve(base_poses(cell, index, poses), start)
-    except KinematicsError as error:
-        raise MotionError(f"{arm.name}: {error}") from error
+    arm, rows = placed_arm(cell.arms[index]), [start]
+    for pose, name in zip(base_poses(cell, index, poses), names, strict=True):
+        try:
+            rows.append(arm.inverse(pose, rows[-1]))
+        except KinematicsError as error:
+            raise MotionError(f"{cell.arms[index].name}, {name}: {error}") from error
+    return np.array(rows[1:]).reshape(len(poses), len(start))
 
 
 def start_seeds(cell: CellDescription) -> list[tuple[float, ...]]:
@@ -122,16 +133,24 @@ def _unwrapped(roll: FloatArray, lower: float, upper: float) -> FloatArray:
 
 
 def densified(waypoints: Sequence[Waypoint]) -> list[Waypoint]:
+    """The same path with waypoints added, as `densified_rows` adds them."""
+    return densified_rows(waypoints)[0]
+
+
+def densified_rows(waypoints: Sequence[Waypoint]) -> tuple[list[Waypoint], list[int]]:
     """The same path with waypoints added, so that no step is longer than 9 mm or 0.55 rad.
 
     Positions are interpolated along the chord, orientations along the shortest rotation; each added
     step is meant to take `step_s` like any other. The jaw moves in the last part of its step.
 
+    Returns:
+        The waypoints, and for each the index of the one given that it is, or leads to.
+
     Raises:
         MotionError: the path is so long that it would need more than `MAX_DENSE`.
     """
-    dense = list(waypoints[:1])
-    for goal in waypoints[1:]:
+    dense, rows = list(waypoints[:1]), [0] * len(waypoints[:1])
+    for row, goal in enumerate(waypoints[1:], 1):
         last = dense[-1]
         pairs = list(zip(last.T_task_tip, goal.T_task_tip, strict=True))
         parts = max(1, *(_parts(a, b) for a, b in pairs))
@@ -140,6 +159,7 @@ def densified(waypoints: Sequence[Waypoint]) -> list[Waypoint]:
                 f"the path is too long: it needs a waypoint every {1e3 * CHORD_M:.0f} mm, and more "
                 f"than {MAX_DENSE} in all; check the units"
             )
+        rows += [row] * parts
         for part in range(1, parts + 1):
             dense.append(
                 Waypoint(
@@ -151,7 +171,7 @@ def densified(waypoints: Sequence[Waypoint]) -> list[Waypoint]:
                     goal.observation,
                 )
             )
-    return dense
+    return dense, rows
 
 
 def _parts(a: FloatArray, b: FloatArray) -> int:

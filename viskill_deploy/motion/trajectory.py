@@ -148,12 +148,12 @@ def _check(path: ArmPath, count: int, name: str, source: str) -> None:
         raise MotionError(f"{source}: {name} has {shapes} numbers for {count} waypoints")
     rows = np.column_stack([path.position, path.quaternion, path.jaw])
     if not np.isfinite(rows).all():
-        where = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
+        where = 1 + int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
         raise MotionError(f"{source}: {name} has a number that is not finite at waypoint {where}")
     off = np.abs(np.linalg.norm(path.quaternion, axis=1) - 1.0)
     if off.max() > UNIT_TOLERANCE:
         raise MotionError(
-            f"{source}: {name}'s quaternion at waypoint {int(off.argmax())} has not length 1; "
+            f"{source}: {name}'s quaternion at waypoint {1 + int(off.argmax())} has not length 1; "
             "the order is x, y, z, w"
         )
 

@@ -14,7 +14,7 @@ from viskill_deploy.core.errors import DataFileError, MotionError
 from viskill_deploy.core.types import FloatArray, Waypoint
 from viskill_deploy.motion.frames import FRAMES, Label
 from viskill_deploy.motion.plan import smooth
-from viskill_deploy.motion.resolve import densified, resolve, waypoint_at
+from viskill_deploy.motion.resolve import densified_rows, resolve, waypoint_at
 from viskill_deploy.motion.trajectory import Written, cell_sha256, read_plan, waypoints_of
 from viskill_deploy.motion.waypoints import start_waypoint
 from viskill_deploy.runtime.planning import Plan
@@ -72,7 +72,11 @@ def open_plan(path: Path, cell_name: str = "") -> tuple[CellDescription, list[Wa
 
 
 def plan_waypoints(
-    cell: CellDescription, waypoints: Sequence[Waypoint], held: FloatArray, speed: float = 1.0
+    cell: CellDescription,
+    waypoints: Sequence[Waypoint],
+    held: FloatArray,
+    speed: float = 1.0,
+    source: str = "the trajectory",
 ) -> Plan:
     """The plan from where the arms are held through all waypoints.
 
@@ -81,16 +85,27 @@ def plan_waypoints(
         waypoints: task frame.
         held: axis positions of the setpoints that their driver holds, (arms, 7).
         speed: part of the planned tip speed to use.
+        source: where the waypoints are from, for messages.
 
     Raises:
-        MotionError: out of reach, or no motion inside the limits.
+        MotionError: out of reach, or no motion inside the limits; names the source, and the
+            waypoint as it is counted there.
     """
     here = waypoint_at(cell, held)
     step_s, may_open = waypoints[0].step_s, waypoints[0].may_open_jaw
     start = Waypoint(here.T_task_tip, here.jaw, step_s, "trajectory", may_open)
-    dense = densified([start, *waypoints])
-    q = resolve(cell, dense[1:], held.tolist())
-    return Plan(tuple(dense), smooth(cell, q, step_s, speed), {})
+    try:
+        dense, rows = densified_rows([start, *waypoints])
+        names = [f"waypoint {row} of {len(waypoints)}" for row in rows[1:]]
+        q = resolve(cell, dense[1:], held.tolist(), names)
+    except MotionError as error:
+        raise MotionError(f"{source}: {error}") from error
+    try:
+        return Plan(tuple(dense), smooth(cell, q, step_s, speed), {})
+    except MotionError as error:
+        added = len(dense) - 1 - len(waypoints)
+        what = f"{source}, counted with the {added} waypoints that were added" if added else source
+        raise MotionError(f"{what}: {error}") from error
 
 
 @dataclass(frozen=True)

@@ -177,7 +177,7 @@ def test_a_csv_that_makes_no_sense_is_refused_with_its_line(
     [
         (lambda t: t.replace("PSM2.", "PSM3."), "needs PSM1, PSM2"),
         (lambda t: t.replace(",1,0,0,0,0,-0.05", ",2,0,0,0,0,-0.05"), "has not length 1"),
-        (lambda t: t.replace("0.2,-0.05", "0.2,nan"), "not finite at waypoint 1"),
+        (lambda t: t.replace("0.2,-0.05", "0.2,nan"), "not finite at waypoint 2"),
         (lambda t: t.replace("0.2,", "-0.2,"), "do not rise"),
         (lambda t: t + f"0.5,{ROW}\n", "0.2 to 0.3 s long"),
     ],
