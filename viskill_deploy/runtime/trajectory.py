@@ -55,8 +55,8 @@ def open_plan(path: Path, cell_name: str = "") -> tuple[CellDescription, list[Wa
         raise DataFileError(
             path,
             "cell",
-            f"{plan.cell!r} was another cell than {cell.files[0]} (or a robot or tool of it) is "
-            "now; name the cell's file with --cell, or import the trajectory again",
+            f"{plan.cell!r} when it was imported is not what {cell.files[0]} and its robot and "
+            "tool files say now; name the right file with --cell, or import the trajectory again",
         )
     names = tuple(arm.name for arm in cell.arms)
     if plan.arms != names:
