@@ -88,7 +88,7 @@ def record_demos(
 
     def told(before: int, done: int) -> None:
         if count:
-            count(min(wanted, before + done), wanted)
+            count(before + done, wanted)
 
     clean, starts, clean_aims = _lots(
         loop, settings.episodes, 0.0, distributions, rng, functools.partial(told, 0)

@@ -106,14 +106,14 @@ def export(
         episodes: evaluated in each of the task's distributions; 0 for none.
         seed: of the evaluation episodes.
         say: told about progress.
-        threshold: of the value, for the bundle; of no use where there is none.
+        threshold: of the value, for the bundle.
 
     Returns:
         The bundle's folder.
 
     Raises:
-        TrainingError: a graph does not compute what its network computes, or the folder holds
-            something else than such a bundle.
+        TrainingError: a graph does not compute what its network computes, the folder holds
+            something else than such a bundle, or there is no value for a threshold of one's own.
     """
     run = trained.run
     if threshold != VALUE_THRESHOLD and not methods.value_is_probability(trained.method):
@@ -141,9 +141,13 @@ def export(
             (new / name).write_bytes(graph)
         (new / CARD).write_text(card, "utf-8")
         write_manifest(new, manifest)
-        if place.exists():
-            place.replace(Path(beside) / "old")
-        new.replace(place)
+        old = place.replace(Path(beside) / "old") if place.exists() else None
+        try:
+            new.replace(place)
+        except OSError:
+            if old:
+                old.replace(place)
+            raise
     say(f"bundle written to {output}")
     return output
 

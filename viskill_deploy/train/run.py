@@ -174,7 +174,7 @@ class Run:
         path = folder / SETTINGS
         inner = [*folder.glob(f"*/{SETTINGS}"), *folder.glob(f"*/*/{SETTINGS}")]
         runs = sorted(str(one.parent) for one in inner if is_run(one))
-        if runs or not path.is_file():
+        if not path.is_file() or (runs and not is_run(path)):
             there = f"name one of {', '.join(runs)}" if runs else "train first"
             raise TrainingError(f"{folder} holds no training run; {there}")
         facts = read_facts(path)

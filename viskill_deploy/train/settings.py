@@ -81,7 +81,7 @@ def _numbers(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, 
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from _numbers(value, f"{before}{key}.")
-        elif not isinstance(value, bool | str | Sequence):
+        elif not isinstance(value, bool | Sequence):
             yield f"{before}{key}", value
 
 

@@ -423,6 +423,24 @@ def test_demonstrations_and_episodes_are_counted(trained: Run, tmp_path: Path) -
     assert done == [(4, 5), (5, 5)]
 
 
+def test_an_older_bundle_stays_where_the_new_one_cannot_take_its_place(
+    trained: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    what, folder = load_trained(trained, "viskill"), tmp_path / "b"
+    export(what, folder, episodes=0, say=quiet)
+    whole = Path.replace
+
+    def refuses(path: Path, target: Path) -> Path:
+        if path.name == "new":
+            raise OSError(28, "No space left on device")
+        return whole(path, target)
+
+    monkeypatch.setattr(Path, "replace", refuses)
+    with pytest.raises(OSError, match="No space"):
+        export(what, folder, episodes=0, say=quiet)
+    assert load_bundle(folder).manifest.name == "bipegtransfer-viskill"
+
+
 @pytest.mark.parametrize(
     ("method", "words"),
     [("dex", "no chaining policy"), ("tstar", "no chaining policy"), ("magic", "choose one of")],

@@ -85,6 +85,7 @@ def test_a_folder_of_runs_is_told_from_a_run(tmp_path: Path) -> None:
             Run.open(folder)
     with pytest.raises(TrainingError, match="train first"):
         Run.open(run / "viskill")
+    Run(run / "another", "bipegtransfer", 1, RunSettings())
     assert Run.open(run).seed == 0
 
 
