@@ -143,8 +143,11 @@ def _success(result: Result) -> Fact | None:
 
 
 def _success_text(result: Result) -> str:
+    """As many decimals as it takes to tell one failure from none."""
     episodes = result.get("episodes")
-    return "{:.0%}" if not isinstance(episodes, int) or episodes < 1000 else "{:.1%}"
+    if not isinstance(episodes, int):
+        return "{:.0%}"
+    return f"{{:.{max(len(str(episodes - 1)) - 2, 0)}%}}"
 
 
 def _fact(

@@ -341,6 +341,16 @@ def test_subgoals_without_a_layout_are_plain_numbers():
     assert row.parts == (("subgoal", "0.0123, -0.04, 0.05, 0.01, 0.02, 0.03, 1, 0"),)
 
 
+@pytest.mark.parametrize(
+    ("failed", "episodes", "told"),
+    [(0, 200, "100.0%"), (1, 100, "99%"), (1, 101, "99.0%"), (1, 1000, "99.9%"), (1, 1, "0%")],
+)
+def test_no_rounding_hides_a_failure(failed, episodes, told):
+    result = {"success_rate": 1.0 - failed / episodes, "episodes": episodes}
+    (success,) = (fact for fact in summary.facts(result) if fact.name == "Success")
+    assert success.text == told
+
+
 def boundary(course="go on", value=None, threshold=0.5, angle=0.16, closed=True) -> Boundary:
     grasps = (GraspTest("PSM2", angle, -0.001, 0.07, closed),)
     return Boundary("reach", "place", grasps, value, threshold, course, "reach")
