@@ -130,6 +130,7 @@ def pair(prepared: Prepared, number: int, args: argparse.Namespace) -> dict[str,
         "clean_stopped_by": result.stopped_by,
         "false_alarms": sum(_is_false(boundary, held) for _, boundary, held in witness.boundaries),
         "alarms": sum(bool(boundary.lost) for _, boundary, _ in witness.boundaries),
+        "planned_anew": len(result.off_plan),
     }
     if len(witness.held_s) == 2:
         row |= knocked(prepared, layout, number, args, rng, witness)
@@ -180,6 +181,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "clean_interventions": sum(bool(row["clean_stopped_by"]) for row in rows),
         "alarms_in_clean_runs": sum(row["alarms"] for row in rows),
         "false_alarms": sum(row["false_alarms"] for row in rows),
+        "planned_anew_in_clean_runs": sum(row.get("planned_anew", 0) for row in rows),
         "outcomes": dict(outcomes),
         "stopped_before_next_skill": f"{stopped} of {lost}",
         "noticed_of_those_at_a_boundary": (

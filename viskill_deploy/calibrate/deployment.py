@@ -40,6 +40,7 @@ from viskill_deploy.runtime.dry_run import LAYOUTS
 from viskill_deploy.runtime.episodes import Mode, from_start_pose
 from viskill_deploy.runtime.ledger import EpisodeResult
 from viskill_deploy.runtime.line import Line
+from viskill_deploy.runtime.planning import OFF_PLAN_M
 from viskill_deploy.runtime.preflight import Prepared, prepare
 from viskill_deploy.runtime.record import NoRecord
 from viskill_deploy.runtime.session import Session
@@ -104,6 +105,7 @@ class Deployment:
             "seed": self.seed,
             "rate_hz": round(1.0 / PERIOD_S),
             "scale": self.scale,
+            "planned_anew_beyond_m": OFF_PLAN_M,
         }
 
 

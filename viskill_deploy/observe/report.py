@@ -166,6 +166,7 @@ def _notes(
         if entry.get("episode") == shown:
             told = [boundary_of(boundary) for boundary in entry.get("boundaries") or ()]
             reasons = [sentence for boundary in told for sentence in sentences(boundary)]
+            reasons += entry.get("off_plan") or ()
             reasons += filter(None, (entry.get("reason"), entry.get("refused")))
             notes += [with_labels(f"episode {shown}: {reason}") for reason in reasons]
     notes += [trouble] if trouble else []

@@ -82,5 +82,6 @@ def remarks(result: EpisodeResult) -> Iterator[str]:
     for boundary in result.boundaries:
         for sentence in sentences(boundary):
             yield f"episode {result.episode}: {sentence}"
+    yield from (f"episode {result.episode}: {sentence}" for sentence in result.off_plan)
     if result.reason or result.refused:
         yield with_labels(f"episode {result.episode}: {result.reason or result.refused}")

@@ -9,13 +9,14 @@ import numpy as np
 
 from viskill_deploy.bundle.subgoals import KeptSubgoals, SubgoalSource, subgoal_source
 from viskill_deploy.core.description import CellDescription
-from viskill_deploy.core.errors import MotionError, SafetyStop, ViskillError
+from viskill_deploy.core.errors import DriverError, MotionError, SafetyStop, ViskillError
 from viskill_deploy.core.types import Boundary, CellState, Scene
 from viskill_deploy.runtime.air import over, start_axes
 from viskill_deploy.runtime.boundaries import Job, held_now, leave, way_back
+from viskill_deploy.runtime.jaws import SETTLE_S
 from viskill_deploy.runtime.ledger import EpisodeResult
-from viskill_deploy.runtime.moves import axes_of, go_to_start_pose
-from viskill_deploy.runtime.planning import Plan, make_plan
+from viskill_deploy.runtime.moves import axes_of, go_to_start_pose, halt, rest
+from viskill_deploy.runtime.planning import OFF_PLAN_M, Plan, make_plan
 from viskill_deploy.runtime.resuming import resumed
 from viskill_deploy.runtime.session import Session
 
@@ -138,6 +139,53 @@ class Attempts:
         if any(held):
             source = KeptSubgoals(self.subgoals, [skill.start for skill in result.skills])
         self.subgoals = source
+
+    def renewed(self, plan: Plan, skill: str, result: EpisodeResult) -> Plan | None:
+        """What is left of a plan, planned anew: the thing is not where the plan has it.
+
+        The arms rest, and it is looked at again, first. The gate is disarmed while they plan, as in
+        `again`. Where no new plan does the task in the simulator the old one goes on: what is seen
+        may be wrong, too.
+
+        Args:
+            plan: the old one.
+            skill: which begins here.
+            result: told what is done.
+
+        Returns:
+            What to go on with; None where nothing may go on, as `result` says.
+        """
+        session = self._session
+        if not (halt(session) and rest(session, SETTLE_S)):
+            session.come_to_rest(result)
+            return None
+        try:
+            off_m = plan.off(skill, session.seen())
+        except DriverError as error:
+            session.line.fail(str(error))  # whoever follows the plan finds out
+            return plan
+        if off_m <= OFF_PLAN_M:
+            return plan
+        session.finish()
+        if session.cause:
+            result.stopped_by = session.cause
+            return None
+        try:
+            plan, course = self.plan(session.read(), session.scene(), skill), "planned anew"
+        except (ViskillError, ValueError) as error:
+            course = f"not planned anew ({error}), the old plan goes on"
+        words = f"before {skill}: the thing is {1e3 * off_m:.1f} mm off the plan; {course}"
+        result.off_plan.append(words)
+        now = session.driver.clock.now()
+        session.recorder.mark(now, result.episode, skill, 0, words)
+        if self._job.operator is not None:
+            self._job.operator.tell(words)
+        try:
+            session.begin()
+        except SafetyStop as error:
+            result.reason = f"not gone on with: {error}"
+            return None
+        return plan
 
     def again(self, boundary: Boundary, result: EpisodeResult) -> Plan | None:
         """After a boundary at which the runtime does not go on: the next attempt's plan.

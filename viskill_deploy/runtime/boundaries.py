@@ -3,6 +3,7 @@
 Two questions are asked there: do the jaws hold what they should, and is success likely enough? If
 not, the runtime does not go on. It tries again from the latest skill that can begin with what the
 jaws hold now, as often as it was told to; then it takes the arms to their start pose, and stops.
+Plan mode asks a third one, whether the thing is where the plan has it (`attempts.renewed`).
 A jaw that loses its hold in the middle of a skill ends the skill at once: a policy that runs after
 a thing that has fallen does what it never did in training.
 """

@@ -30,7 +30,7 @@ from viskill_deploy.runtime.ledger import EpisodeResult, SkillResult
 from viskill_deploy.runtime.line import Coming
 from viskill_deploy.runtime.moves import arrive, axes_of, go_to_start_pose, run_motion
 from viskill_deploy.runtime.operator import Operator
-from viskill_deploy.runtime.planning import Plan
+from viskill_deploy.runtime.planning import OFF_PLAN_M, Plan
 from viskill_deploy.runtime.session import Session
 from viskill_deploy.runtime.stopping_places import may_go_on
 from viskill_deploy.runtime.thinking import decide
@@ -137,7 +137,8 @@ def _run_chain(
 
 def _ended(session: Session, job: Job, result: EpisodeResult) -> EpisodeResult:
     """The episode's result, judged; the gate is disarmed where it has not stepped in."""
-    if not result.stopped_by and job.retreats and not go_to_start_pose(session, held_now(session)):
+    may_retreat = job.retreats and session.is_armed and not result.stopped_by
+    if may_retreat and not go_to_start_pose(session, held_now(session)):
         session.come_to_rest(result)
     if not result.stopped_by:
         session.finish()
@@ -219,23 +220,32 @@ def planned(session: Session, job: Job, rng: np.random.Generator, episode: int) 
     session.begin()
     session.recorder.mark(session.driver.clock.now(), episode, "", 0, scene.active)
     while plan is not None:
-        plan = attempts.next(_stream(session, job, plan, result), result)
+        plan = attempts.next(_stream(session, job, attempts, plan, result), result)
     return _ended(session, job, result)
 
 
-def _stream(session: Session, job: Job, plan: Plan, result: EpisodeResult) -> Boundary | None:
+def _stream(
+    session: Session, job: Job, attempts: Attempts, plan: Plan, result: EpisodeResult
+) -> Boundary | None:
     """Streams a plan from where the arms are; returns what `_run_chain` does."""
-    boundaries = Boundaries(session, job, result)
-    for planned_start in plan.starts.values():
-        start = planned_start
+    boundaries, left = Boundaries(session, job, result), plan
+    for number, skill in enumerate(plan.starts):
+        start, is_off = left.starts[skill], False
         try:
-            start = _as_seen(session, job, planned_start)
+            start = _as_seen(session, job, start)
             boundary = boundaries.before(start)
             if boundary is None or boundary.course != "go on":
                 return boundary
+            if number and job.has_things:
+                is_off = left.off(skill, session.seen()) > OFF_PLAN_M
         except (ViskillError, ValueError) as error:
             session.line.fail(str(error))
-        lost = _stream_skill(session, job, plan, start, result, boundaries)
+        if is_off:
+            renewed = attempts.renewed(left, skill, result)
+            if renewed is None:
+                return None
+            left, start = renewed, renewed.starts[skill]
+        lost = _stream_skill(session, job, left, start, result, boundaries)
         if lost is not None or result.stopped_by:
             return lost
         if job.has_things:

@@ -44,6 +44,7 @@ class EpisodeResult:
         retries: how often a skill was tried again.
         boundaries: what was decided between the skills, in order.
         resumed: ids of the rules that held the arms, where the operator let the run go on.
+        off_plan: where the thing was not where the plan had it, and what was done, in words.
     """
 
     episode: int
@@ -56,6 +57,7 @@ class EpisodeResult:
     retries: int = 0
     boundaries: list[Boundary] = field(default_factory=list)
     resumed: list[str] = field(default_factory=list)
+    off_plan: list[str] = field(default_factory=list)
 
     def skill(self, start: SkillStart) -> tuple[SkillResult, bool]:
         """The entry of the running skill, and whether it was made for this: the skill begins."""
@@ -179,5 +181,6 @@ def _episode(result: EpisodeResult) -> dict[str, Any]:
         ],
         "retries": result.retries,
         "resumed": list(result.resumed),
+        "off_plan": list(result.off_plan),
         "boundaries": [asdict(boundary) for boundary in result.boundaries],
     }

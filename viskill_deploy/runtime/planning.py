@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -33,6 +33,13 @@ from viskill_deploy.sim.closed_loop import ClosedLoop
 from viskill_deploy.sim.tasks.base import Task, load_task
 from viskill_deploy.sim.world import World
 
+OFF_PLAN_M = 1.5e-3
+"""What is left of a plan is planned anew where its thing is farther off than this. A thing that did
+not slip is up to 1.1 mm off on the loopback."""
+
+LEVER_M = 0.01
+"""A thing's turn counts as what it moves a point by that is so far from its origin."""
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -44,6 +51,7 @@ class Plan:
         starts: what was decided at each skill's first step.
         training: what the policy has seen in training; None where no policy was asked.
         succeeds: whether it does the task in the simulator.
+        scenes: where the things were at each skill's first step, in the simulator.
     """
 
     waypoints: tuple[Waypoint, ...]
@@ -51,6 +59,7 @@ class Plan:
     starts: Mapping[str, SkillStart]
     training: ObservationRange | None = None
     succeeds: bool = True
+    scenes: Mapping[str, Scene] = field(default_factory=dict)
 
     def first_of(self, skill: str) -> int:
         """Index of a skill's first waypoint."""
@@ -71,6 +80,25 @@ class Plan:
             Part(self.motion, times[a], times[b] - times[a])
             for a, b in zip(starts, ends, strict=True)
         )
+
+    def off(self, skill: str, seen: Scene) -> float:
+        """How far the thing to be moved is from where the plan has it when a skill begins.
+
+        Args:
+            skill: its name.
+            seen: the things that somebody sees, and where.
+
+        Returns:
+            m, its shift, and its turn times `LEVER_M`; 0.0 where nobody sees it.
+        """
+        planned = self.scenes.get(skill, seen)
+        poses = {thing.name: thing.T_task_object for thing in seen.objects}
+        if planned.active not in poses:
+            return 0.0
+        T, T_planned = poses[planned.active], planned.pose(planned.active)
+        shift = float(np.linalg.norm(T[:3, 3] - T_planned[:3, 3]))
+        cosine = (np.trace(T_planned[:3, :3].T @ T[:3, :3]) - 1.0) / 2.0
+        return shift + LEVER_M * float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
     def index_at(self, time_s: float) -> int:
         """Index of the waypoint that the plan is on its way to at a time of its own."""
@@ -160,12 +188,14 @@ def make_plan(
     observation = loop.reset(scene, measured, held)
     chain = SkillChain(bundle, subgoals or subgoal_source(bundle, task, rng), first)
     starts: dict[str, SkillStart] = {}
+    scenes: dict[str, Scene] = {}
     skills = {skill.name: skill for skill in task.skills}
     begins = skills[first or task.skills[0].name]
     waypoints = [replace(loop.waypoint, may_open_jaw=begins.may_open_jaw)]
     while not chain.finished:
         choice = chain.act(observation, loop.world.scene())
         starts[choice.skill] = choice.start
+        scenes.setdefault(choice.skill, loop.world.scene())
         seen = tuple(observation.tolist())
         observation = loop.step(choice.action, skills[choice.skill])
         waypoints.append(replace(loop.waypoint, observation=seen))
@@ -180,7 +210,8 @@ def make_plan(
             "the plan does not do the task in the simulator and was not streamed; look at the "
             "scene, or run the policy closed loop"
         )
-    return Plan(tuple(dense), motion, starts, bundle.manifest.training_range.seen, succeeds)
+    seen_in_training = bundle.manifest.training_range.seen
+    return Plan(tuple(dense), motion, starts, seen_in_training, succeeds, scenes)
 
 
 def _ideal(

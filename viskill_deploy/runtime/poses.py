@@ -8,7 +8,7 @@ longer than its limit is nowhere: the run is held (S16), for a person to look.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Protocol
 
@@ -20,6 +20,9 @@ from viskill_deploy.core.types import FloatArray, ObjectPose, Scene
 
 IN_JAW_M = 0.03
 """A jaw that holds something holds a thing whose centre is within this of its pivot."""
+
+SURE_M = 7.5e-4
+"""A sighting that is less certain than this (one sigma) does not tell whether a plan still fits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +74,7 @@ class _Thing:
     name: str
     T: FloatArray | None = None
     seen_s: float = -inf
+    sigma_m: float = inf
     holder: int | None = None
     T_tip_object: FloatArray = field(default_factory=lambda: np.eye(4))
     is_unseen: bool = False
@@ -158,6 +162,20 @@ class Things:
             poses.append(ObjectPose(thing.name, thing.T))
         return Scene(now, tuple(poses), self._scene.active, self._scene.goal)
 
+    def seen(self, now: float) -> Scene:
+        """Those things alone that were looked at lately, and well: none of a scene file's.
+
+        Raises:
+            DriverError: as `scene`.
+        """
+        scene, age_s = self.scene(now), -inf if self._limits is FILED else self._limits.age_s
+        fresh = {
+            thing.name
+            for thing in self._things
+            if now - thing.seen_s <= age_s and thing.sigma_m <= SURE_M
+        }
+        return replace(scene, objects=tuple(o for o in scene.objects if o.name in fresh))
+
     def close(self) -> None:
         """Nobody looks any more."""
         self._source.close()
@@ -169,6 +187,7 @@ class Things:
         if seen is None or not is_good or not seen.seen_s > thing.seen_s:
             return False
         thing.T, thing.seen_s, thing.is_unseen = np.array(seen.T_task_object), seen.seen_s, False
+        thing.sigma_m = seen.sigma_m
         return True
 
     def _hold(self, thing: _Thing, tips: Sequence[FloatArray], held: Sequence[bool]) -> None:

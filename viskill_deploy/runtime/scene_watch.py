@@ -46,6 +46,15 @@ class SceneWatch:
             raise DriverError("nothing says where the objects are; give a scene")
         return scene
 
+    def seen(self) -> Scene:
+        """The things that somebody sees, without those that are only reckoned with.
+
+        Raises:
+            DriverError: nothing tells, or not any more.
+        """
+        things = self._things
+        return self.scene() if things is None else things.seen(self._driver.clock.now())
+
     def follow(self, now: float, tips: Sequence[FloatArray], held: Sequence[bool]) -> None:
         """Things in a jaw go with it.
 

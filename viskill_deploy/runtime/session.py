@@ -119,6 +119,11 @@ class Session:
             if not self.driver.capabilities.stepped:
                 realtime.release()
 
+    @property
+    def is_armed(self) -> bool:
+        """Whether the arms may move: between `begin` and `finish`, or until they are stopped."""
+        return self._is_moving
+
     def settle(self) -> None:
         """Brings arms that are still under way to rest."""
         if self._is_moving:
@@ -356,6 +361,10 @@ class Session:
     def scene(self) -> Scene:
         """Where the things are; raises DriverError where nothing tells, or not any more."""
         return self._scenes.scene()
+
+    def seen(self) -> Scene:
+        """The things that somebody sees; raises DriverError as `scene` does."""
+        return self._scenes.seen()
 
     def _follow_things(self, now: float, state: CellState) -> None:
         """What is not seen for too long ends the motion."""

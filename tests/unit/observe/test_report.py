@@ -378,6 +378,15 @@ def test_a_person_hears_why_the_runtime_did_not_go_on(seen, told):
     assert all(r.startswith("episode 3: before place: ") and told in r for r in remarks)
 
 
+def test_a_person_hears_that_the_thing_was_off_the_plan(tmp_path):
+    words = "before place: the thing is 3.9 mm off the plan; planned anew"
+    assert list(starts.remarks(EpisodeResult(3, off_plan=[words]))) == [f"episode 3: {words}"]
+    episode = dict(RESULT["episode_results"][0], off_plan=[words])
+    result = RESULT | {"episode_results": [episode]}
+    path = write_report(tmp_path / "report.html", result, load_cell("bipegtransfer"))
+    assert words in path.read_text()
+
+
 def test_a_report_tells_what_was_decided_between_the_skills(tmp_path):
     stopped = dict(RESULT["episode_results"][0], stopped_by="", success=False)
     stopped["boundaries"] = [asdict(boundary("safe pose", 0.49)), asdict(boundary(value=0.9))]

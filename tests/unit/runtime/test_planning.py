@@ -10,9 +10,10 @@ import pytest
 from viskill_deploy.bundle.format import Bundle, load_bundle
 from viskill_deploy.core.description import load_cell
 from viskill_deploy.core.errors import MotionError, NoSolutionError, SafetyStop
+from viskill_deploy.core.types import Scene
 from viskill_deploy.drivers.loopback import LoopbackDriver
 from viskill_deploy.runtime.moves import axes_of
-from viskill_deploy.runtime.planning import Plan, make_plan
+from viskill_deploy.runtime.planning import LEVER_M, Plan, make_plan
 from viskill_deploy.sim.tasks.base import load_task
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -50,6 +51,33 @@ def test_a_plan_starts_where_the_arms_are_and_ends_at_rest(
         assert max(map(abs, motion.v)) < 1e-9
     for motion in plan.motion.at(plan.motion.duration_s):
         assert max(map(abs, motion.v)) < 1e-6
+
+
+def moved(scene: Scene, name: str, T: np.ndarray) -> Scene:
+    things = [replace(o, T_task_object=T) if o.name == name else o for o in scene.objects]
+    return replace(scene, objects=tuple(things))
+
+
+def test_a_plan_knows_how_far_the_thing_is_from_where_it_has_it(
+    ready: tuple[Plan, LoopbackDriver],
+) -> None:
+    plan, _ = ready
+    there = plan.scenes["release"]
+    assert list(plan.scenes) == ["grasp", "handover", "release"]
+    assert plan.off("release", there) == pytest.approx(0.0, abs=1e-9)
+    T = there.pose(there.active).copy()
+    T[:3, 3] += [0.003, 0.0, -0.004]
+    assert plan.off("release", moved(there, there.active, T)) == pytest.approx(0.005)
+    turn = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    T[:3, :3] = T[:3, :3] @ turn
+    expected = 0.005 + LEVER_M * np.arccos(0.8)
+    assert plan.off("release", moved(there, there.active, T)) == pytest.approx(expected)
+    others = [o for o in there.objects if o.name != there.active]
+    assert others
+    far = moved(there, others[0].name, T)
+    assert plan.off("release", far) == pytest.approx(0.0, abs=1e-9), "a bystander"
+    assert plan.off("release", replace(there, objects=tuple(others))) == 0.0, "nobody sees it"
+    assert replace(plan, scenes={}).off("release", there) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_plan_knows_its_stretch(

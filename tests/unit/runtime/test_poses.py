@@ -7,7 +7,7 @@ import pytest
 
 from viskill_deploy.core.errors import DriverError
 from viskill_deploy.core.types import ObjectPose, Scene
-from viskill_deploy.runtime.poses import PoseLimits, Sighting, Things
+from viskill_deploy.runtime.poses import FILED, SURE_M, PoseLimits, Sighting, Things
 
 LIMITS = PoseLimits(age_s=0.5, held_age_s=2.0, sigma_m=0.003)
 FREE, HELD = (False, False), (True, False)
@@ -70,6 +70,27 @@ def test_a_look_that_is_too_uncertain_or_older_than_the_last_is_none() -> None:
     known.scene(1.0)
     source.see(0.3, 0.9)
     assert known.scene(1.0).pose("block")[0, 3] == 0.1
+
+
+def test_seen_is_what_was_looked_at_lately_and_well() -> None:
+    known, source = things()
+    source.see(0.1, 1.0, sigma_m=SURE_M)
+    assert known.seen(1.5).pose("block")[0, 3] == 0.1
+    known.follow(1.5, [at(0.1), at(0.5)], HELD)
+    assert known.scene(1.6).objects, "it is in the jaw"
+    assert not known.seen(1.6).objects, "and hidden there"
+    source.see(0.1, 1.7, sigma_m=1.01 * SURE_M)
+    assert known.scene(1.7).objects
+    assert not known.seen(1.7).objects, "known, but not well"
+
+
+def test_nobody_looks_at_the_things_of_a_scene_file() -> None:
+    source = Seen()
+    source.see(0.1, 0.0, sigma_m=0.0)
+    scene = Scene(0.0, (ObjectPose("block", np.eye(4)),), "block", np.zeros(3))
+    known = Things(scene, source, FILED, ["PSM1", "PSM2"])
+    assert known.scene(0.0).objects
+    assert not known.seen(0.0).objects
 
 
 def test_a_thing_that_nobody_holds_is_nowhere_past_its_age() -> None:
