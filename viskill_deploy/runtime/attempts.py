@@ -166,9 +166,7 @@ class Attempts:
             return plan
         if off_m <= OFF_PLAN_M:
             return plan
-        session.finish()
-        if session.cause:
-            result.stopped_by = session.cause
+        if not self._disarmed(result):
             return None
         try:
             plan, course = self.plan(session.read(), session.scene(), skill), "planned anew"
@@ -180,12 +178,7 @@ class Attempts:
         session.recorder.mark(now, result.episode, skill, 0, words)
         if self._job.operator is not None:
             self._job.operator.tell(words)
-        try:
-            session.begin()
-        except SafetyStop as error:
-            result.reason = f"not gone on with: {error}"
-            return None
-        return plan
+        return plan if self._armed_again(result, "gone on with") else None
 
     def again(self, boundary: Boundary, result: EpisodeResult) -> Plan | None:
         """After a boundary at which the runtime does not go on: the next attempt's plan.
@@ -206,21 +199,31 @@ class Attempts:
         held = held_now(session)
         self._choose_subgoals(held, result)
         plan = None
-        session.finish()
-        if session.cause:
-            result.stopped_by = session.cause
+        if not self._disarmed(result):
             return None
         try:
             plan = self.plan(session.read(), session.scene(), boundary.skill)
         except (ViskillError, ValueError) as error:
             result.reason = f"not tried again: {error}"
-        try:
-            session.begin()
-        except SafetyStop as error:
-            result.reason = f"not tried again: {error}"
+        if not self._armed_again(result, "tried again"):
             return None
         if plan is not None:
             result.retries += 1
         elif not go_to_start_pose(session, held):
             session.come_to_rest(result)
         return plan
+
+    def _disarmed(self, result: EpisodeResult) -> bool:
+        """Disarms the gate while the arms rest; False where it has stepped in, as is noted."""
+        self._session.finish()
+        result.stopped_by = self._session.cause
+        return not result.stopped_by
+
+    def _armed_again(self, result: EpisodeResult, what: str) -> bool:
+        """Arms it again with the operator's consent; False without, as is noted."""
+        try:
+            self._session.begin()
+        except SafetyStop as error:
+            result.reason = f"not {what}: {error}"
+            return False
+        return True
